@@ -1,0 +1,56 @@
+"""Do probabilities mean what they say? Reliability bins and the expected calibration error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fewview.types import Array, BoolArray
+
+
+@dataclass(frozen=True)
+class Bin:
+    """The answers whose probability fell into one interval.
+
+    Attributes:
+        low: lower end, included.
+        high: upper end, excluded except for 1.
+        count: number of answers.
+        probability: their mean probability.
+        right: share of them that were right.
+    """
+
+    low: float
+    high: float
+    count: int
+    probability: float
+    right: float
+
+
+def reliability(probability: Array, right: BoolArray, bins: int = 10) -> tuple[Bin, ...]:
+    """Group (n,) probabilities into equal intervals of 0..1; empty intervals are left out."""
+    index = np.minimum((probability * bins).astype(np.int64), bins - 1)
+    groups = [(b, index == b) for b in range(bins)]
+    return tuple(
+        Bin(
+            b / bins,
+            (b + 1) / bins,
+            int(members.sum()),
+            float(probability[members].mean()),
+            float(right[members].mean()),
+        )
+        for b, members in groups
+        if members.any()
+    )
+
+
+def expected_calibration_error(probability: Array, right: BoolArray, bins: int = 10) -> float:
+    """Mean distance between probability and share of right answers, weighted by bin counts.
+
+    Zero for no answers at all.
+    """
+    groups = reliability(probability, right, bins)
+    total = sum(group.count for group in groups)
+    gap = sum(group.count * abs(group.probability - group.right) for group in groups)
+    return gap / total if total else 0.0
