@@ -70,6 +70,10 @@ class RefinementConfig:
     """Scale of the perpendicular term (sine of an angle)."""
     alpha_r: float = 0.1
     """Weight of the relations against the nearest neighbours."""
+    match_weight: float = 3.0
+    """Weight of a matched feature against a nearest neighbour."""
+    alpha_match_m: float = 0.05
+    """Scale of the matched features' term."""
 
 
 @dataclass(frozen=True)

@@ -199,6 +199,8 @@ class CompletedScan:
 
     Attributes:
         name: the scan's name.
+        image_size: width and height of the frame, the image that feature pixels refer to.
+        quarter_turns: counter-clockwise turns by 90 degrees that bring the image upright.
         intrinsics: camera of `depth`.
         depth: (h, w) float32 reduced depth image for visibility checks, metres, 0 unknown.
         surface: thinned visible surface.
@@ -208,6 +210,8 @@ class CompletedScan:
     """
 
     name: str
+    image_size: tuple[int, int]
+    quarter_turns: int
     intrinsics: Intrinsics
     depth: FloatArray
     surface: Surface

@@ -1,0 +1,1 @@
+"""From two completed scans to K rigid poses: correspondences, consistency, spectral sets."""

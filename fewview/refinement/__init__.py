@@ -1,0 +1,1 @@
+"""From a candidate pose to a refined pose and the evidence for it (Sec. 3.3)."""

@@ -1,0 +1,88 @@
+"""What one kind of feature has to offer; a new kind is one new file and one entry in `KINDS`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from fewview.completion.local_geometry import DepthView
+from fewview.config import FeatureConfig
+from fewview.types import (
+    CompletedScan,
+    Correspondences,
+    FeatureSet,
+    FloatArray,
+    Frame,
+    Levelling,
+    PlanarPatch,
+    Representation,
+    Surface,
+)
+
+
+@dataclass(frozen=True)
+class ScanView:
+    """What an extractor may look at: one scan's pixels and the geometry made of them."""
+
+    frame: Frame
+    quarter_turns: int
+    depth: DepthView
+    surface: Surface
+    patches: tuple[PlanarPatch, ...]
+    levelling: Levelling
+
+
+class FeatureKind(Protocol):
+    """Extracts one kind of feature from a scan and matches it between two scans."""
+
+    name: str
+    representation: Representation
+
+    def extract(self, view: ScanView, config: FeatureConfig) -> FeatureSet:
+        """Features of one scan."""
+
+    def correspond(self, source: CompletedScan, target: CompletedScan) -> Correspondences:
+        """Candidate correspondences between this kind's features of two scans."""
+
+
+def lift_keypoints(
+    view: ScanView, pixels: FloatArray, max_depth_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Give image keypoints a position and a normal.
+
+    Args:
+        view: the scan.
+        pixels: (n, 2) x, y in the full image.
+        max_depth_m: keypoints farther away are not kept.
+
+    Returns:
+        kept: (m,) indices of the keypoints that lie on a reliable surface,
+        positions: (m, 3) and normals: (m, 3), scan frame.
+    """
+    depth = view.frame.depth
+    columns = np.clip(np.rint(pixels[:, 0]).astype(int), 0, depth.shape[1] - 1)
+    rows = np.clip(np.rint(pixels[:, 1]).astype(int), 0, depth.shape[0] - 1)
+    z = _smoothed_depth(depth, rows, columns)
+    normals, reliable = view.depth.normals(*view.depth.pixels_of(pixels, view.frame.intrinsics))
+    kept = np.flatnonzero((z > 0) & (z < max_depth_m) & reliable)
+    camera = view.frame.intrinsics
+    x = (pixels[kept, 0] - camera.cx) * z[kept] / camera.fx
+    y = (pixels[kept, 1] - camera.cy) * z[kept] / camera.fy
+    return kept, np.stack([x, y, z[kept]], axis=1).astype(np.float64), normals[kept]
+
+
+def _smoothed_depth(depth: FloatArray, rows: np.ndarray, columns: np.ndarray) -> FloatArray:
+    """Median of the valid depths in the 5 x 5 pixels around each keypoint; at a jump in depth
+    the nearer side, since corners seen by a camera belong to the occluding surface."""
+    padded = np.pad(depth, 2)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (5, 5))[rows, columns]
+    values = windows.reshape(len(rows), 25)
+    valid = values > 0
+    nearest = np.where(valid, values, np.inf).min(axis=1, initial=np.inf)
+    near_side = valid & (values < 1.05 * nearest[:, None])
+    ordered = np.sort(np.where(near_side, values, np.inf), axis=1)
+    count = near_side.sum(axis=1)
+    middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[:, None] // 2, axis=1)[:, 0]
+    return np.where(count >= 5, middle, 0).astype(np.float32)

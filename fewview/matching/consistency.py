@@ -1,0 +1,172 @@
+"""The consistency matrix over candidate correspondences (supplementary, spectral matching).
+
+C(c, c') = s_c s_c' g_cc', where g compares one length and three angles that a rigid motion keeps:
+
+    l = |p - p'|, theta_1 = angle(n, n'), theta_2 = angle(n, p - p'), theta_3 = angle(n', p - p')
+
+    g = exp(-(l_1 - l_2)^2 / 2 gamma_2^2 - sum_i (theta_i,1 - theta_i,2)^2 / 2 gamma_{i+2}^2)
+
+Every kind of feature has its own gammas; between kinds their variances are averaged. Entries under
+`MIN_ENTRY` are zero, so most pairs are settled by their length alone and never see an angle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from fewview.types import Array, CompletedScan, Correspondences, FloatArray, IntArray
+
+MIN_ENTRY = 0.1
+MIN_LENGTH_M = 0.05
+BLOCK = 256
+
+
+@dataclass(frozen=True)
+class Scales:
+    """gamma_2 (metres) and gamma_3..5 (radians) of one kind of feature, and what its normals
+    count against its positions in the rigid fit (square metres).
+
+    gamma_1 belongs to the descriptor and has done its work in `Correspondences.similarity`.
+    """
+
+    length_m: float
+    normal_angle: float
+    direction_angle: float
+    normal_weight: float
+
+
+SCALES: Mapping[str, Scales] = {
+    "xfeat": Scales(0.05, 0.30, 0.30, 0.02),
+    "sift": Scales(0.05, 0.30, 0.30, 0.02),
+    "planes": Scales(0.30, 0.15, 0.50, 0.50),
+}
+
+
+@dataclass(frozen=True)
+class CandidateMatches:
+    """Candidate correspondences of all kinds, stacked.
+
+    Attributes:
+        source, target: (m, 3) positions; source_normals, target_normals: (m, 3).
+        similarity: (m,) s_c.
+        kinds: the feature kinds; kind: (m,) index into them.
+        indices: (m, 2) into the feature sets of that kind.
+    """
+
+    source: Array
+    target: Array
+    source_normals: Array
+    target_normals: Array
+    similarity: FloatArray
+    kinds: tuple[str, ...]
+    kind: IntArray
+    indices: IntArray
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def scale(self, name: str) -> FloatArray:
+        """(m,) value of a `Scales` field for each correspondence."""
+        values = np.array([getattr(SCALES[k], name) for k in self.kinds], dtype=np.float32)
+        return np.asarray(values[self.kind])
+
+
+def stack(
+    source: CompletedScan, target: CompletedScan, matches: list[Correspondences], limit: int
+) -> CandidateMatches:
+    """Collect correspondences of all kinds, at most ``limit``, best similarity first."""
+    kind = np.concatenate([np.full(len(m), i) for i, m in enumerate(matches)]).astype(np.int64)
+    indices = np.concatenate([m.indices for m in matches])
+    similarity = np.concatenate([m.similarity for m in matches])
+    order = np.argsort(-similarity, kind="stable")[:limit]
+    kind, indices, similarity = kind[order], indices[order], similarity[order]
+    names = tuple(m.kind for m in matches)
+    columns = [np.zeros((len(order), 3)) for _ in range(4)]
+    for i, name in enumerate(names):
+        rows = kind == i
+        for side, scan in enumerate((source, target)):
+            features = scan.features[name]
+            columns[side][rows] = features.positions[indices[rows, side]]
+            columns[side + 2][rows] = features.normals[indices[rows, side]]
+    return CandidateMatches(*columns, similarity, names, kind, indices)
+
+
+def consistency_matrix(matches: CandidateMatches) -> sparse.csr_matrix:
+    """The symmetric (m, m) matrix C with zero diagonal."""
+    rows, columns, values = [], [], []
+    for i, j in _compatible_lengths(matches):
+        geometry = _geometry_score(matches, i, j)
+        keep = geometry > MIN_ENTRY
+        i, j = i[keep], j[keep]
+        rows.append(i)
+        columns.append(j)
+        values.append(geometry[keep] * matches.similarity[i] * matches.similarity[j])
+    i, j = np.concatenate(rows), np.concatenate(columns)
+    size = len(matches)
+    upper = sparse.csr_matrix((np.concatenate(values), (i, j)), shape=(size, size))
+    return (upper + upper.T).tocsr()
+
+
+def _compatible_lengths(matches: CandidateMatches) -> Iterator[tuple[IntArray, IntArray]]:
+    """Pairs i < j, block by block, whose length term alone leaves the entry above the minimum and
+    which do not share a feature."""
+    p, q = matches.source.astype(np.float32), matches.target.astype(np.float32)
+    gamma = matches.scale("length_m") ** 2
+    limit = -np.log(MIN_ENTRY)
+    for start in range(0, len(matches), BLOCK):
+        stop = min(start + BLOCK, len(matches))
+        here = slice(start, stop)
+        length_p, length_q = _lengths(p[here], p[start:]), _lengths(q[here], q[start:])
+        variance = gamma[here, None] + gamma[None, start:]
+        fits = (length_p - length_q) ** 2 < limit * variance
+        fits &= np.minimum(length_p, length_q) > MIN_LENGTH_M
+        fits &= np.arange(stop - start)[:, None] < np.arange(len(matches) - start)[None]
+        i, j = np.nonzero(fits)
+        i, j = i + start, j + start
+        same_kind = matches.kind[i] == matches.kind[j]
+        shared = (matches.indices[i] == matches.indices[j]).any(axis=1)
+        keep = ~(same_kind & shared)
+        yield i[keep], j[keep]
+
+
+def _lengths(a: FloatArray, b: FloatArray) -> FloatArray:
+    squared = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1)[None] - 2.0 * (a @ b.T)
+    return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
+
+
+def _geometry_score(matches: CandidateMatches, i: IntArray, j: IntArray) -> FloatArray:
+    quantities = [
+        _invariants(points.astype(np.float32), normals.astype(np.float32), i, j)
+        for points, normals in (
+            (matches.source, matches.source_normals),
+            (matches.target, matches.target_normals),
+        )
+    ]
+    names = ("length_m", "normal_angle", "direction_angle", "direction_angle")
+    exponent = np.zeros(len(i), dtype=np.float32)
+    for name, a, b in zip(names, *quantities, strict=True):
+        gamma = matches.scale(name) ** 2
+        exponent += (a - b) ** 2 / (gamma[i] + gamma[j])
+    return np.exp(-exponent)
+
+
+def _invariants(
+    points: FloatArray, normals: FloatArray, i: IntArray, j: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    step = points[i] - points[j]
+    length = np.sqrt((step**2).sum(axis=1))
+    step /= np.maximum(length, 1e-9)[:, None]
+    return (
+        length,
+        _angle((normals[i] * normals[j]).sum(axis=1)),
+        _angle((normals[i] * step).sum(axis=1)),
+        _angle((normals[j] * step).sum(axis=1)),
+    )
+
+
+def _angle(cosine: FloatArray) -> FloatArray:
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))

@@ -1,0 +1,70 @@
+"""From evidence to a calibrated probability: a conditional logit over a pair's candidates.
+
+Exactly one of K candidates is right, or none is: p_k = exp(z_k) / (1 + sum_j exp(z_j)) with
+z = w . f + b. Coefficients are fitted on validation scenes by scripts/fit_probability.py and
+stored in weights/probability.json together with how they were made.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+
+import numpy as np
+
+from fewview.types import Array
+
+
+@dataclass(frozen=True)
+class ProbabilityModel:
+    """A fitted conditional logit.
+
+    Attributes:
+        features: names of the evidence features, in order.
+        mean, scale: (d,) standardisation.
+        coefficients: (d,); intercept: float.
+    """
+
+    features: tuple[str, ...]
+    mean: Array
+    scale: Array
+    coefficients: Array
+    intercept: float
+
+    def logits(self, evidence: Sequence[Mapping[str, float]]) -> Array:
+        """(K,) z of candidates described by named features."""
+        rows = np.array([[e[name] for name in self.features] for e in evidence])
+        rows = rows.reshape(len(evidence), len(self.features))
+        return np.asarray((rows - self.mean) / self.scale @ self.coefficients + self.intercept)
+
+    def probabilities(self, evidence: Sequence[Mapping[str, float]]) -> Array:
+        """(K,) probabilities that each candidate is the right one; their sum is below one."""
+        z = self.logits(evidence)
+        shift = max(float(z.max(initial=0.0)), 0.0)
+        weights = np.exp(z - shift)
+        return np.asarray(weights / (np.exp(-shift) + weights.sum()))
+
+
+@cache
+def shipped_model() -> ProbabilityModel:
+    """The coefficients that come with the package."""
+    text = (resources.files("fewview") / "weights" / "probability.json").read_text()
+    return from_dict(json.loads(text))
+
+
+def from_dict(values: Mapping[str, object]) -> ProbabilityModel:
+    """Build a model from the stored JSON."""
+    names = values["features"]
+    assert isinstance(names, list)
+    intercept = values["intercept"]
+    assert isinstance(intercept, int | float)
+    return ProbabilityModel(
+        tuple(names),
+        np.array(values["mean"], dtype=np.float64),
+        np.array(values["scale"], dtype=np.float64),
+        np.array(values["coefficients"], dtype=np.float64),
+        float(intercept),
+    )
