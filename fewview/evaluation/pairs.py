@@ -28,7 +28,6 @@ TOP_K = (1, 3, 5)
 
 def score_pairs(
     pairs: Sequence[Json],
-    names: Sequence[str],
     truth: Mapping[str, Array],
     overlaps: Overlaps | None = None,
     centroids: Mapping[str, Array] | None = None,
@@ -36,15 +35,14 @@ def score_pairs(
     """Errors of every candidate of every pair whose two scans have a true pose.
 
     Args:
-        pairs: the ``pairs`` of a report; scans by name or by index into ``names``.
-        names: the report's scan names in order.
+        pairs: the ``pairs`` of a report.
         truth: (4, 4) camera-to-world by name.
         overlaps: true overlap by pair of names in either order.
         centroids: (3,) centroid by name, in the scan's frame.
     """
     rows = []
     for pair in pairs:
-        source, target = (_name(pair[key], names) for key in ("source", "target"))
+        source, target = pair["source"], pair["target"]
         if source not in truth or target not in truth:
             continue
         expected = relative(*orthonormal(np.stack([truth[source], truth[target]])))
@@ -131,7 +129,3 @@ def _errors(expected: Array, pose: Array, centroid: Array | None) -> Json:
     if centroid is not None:
         errors["centroid_m"] = float(translation_error_at_m(expected, pose, centroid))
     return errors
-
-
-def _name(key: str | int, names: Sequence[str]) -> str:
-    return names[key] if isinstance(key, int) else key

@@ -58,8 +58,7 @@ def evaluate_report(
         [_pose_in(scan, component) for scan in scans],
     )
     rows = _scan_rows(scans, errors)
-    names = [scan["name"] for scan in report["scans"]]
-    pairs = score_pairs(report.get("pairs", []), names, truth, overlaps, centroids)
+    pairs = score_pairs(report["pairs"], truth, overlaps, centroids)
     candidates = [candidate for pair in pairs for candidate in pair["candidates"]]
     return {
         "absolute": _absolute(scans, errors),
