@@ -185,11 +185,13 @@ class Surface:
     Attributes:
         points: (n, 3) float64, scan frame, metres.
         normals: (n, 3) float64 unit, towards the camera.
+        colours: (n, 3) float32 CIE Lab.
         labels: (n,) int64 index into `CompletedScan.patches`, -1 where not on a patch.
     """
 
     points: Array
     normals: Array
+    colours: FloatArray
     labels: IntArray
 
 

@@ -30,7 +30,7 @@ def complete(
         seed: seed of the plane search.
     """
     depth = DepthView.of(frame, config.max_depth_m)
-    surface = thin_surface(depth, config.surface_voxel_m)
+    surface = thin_surface(depth, frame.colour, config.surface_voxel_m)
     surface, patches = find_patches(surface, config.max_patches, np.random.default_rng(seed))
     levelling = level(surface, patches, quarter_turns)
     view = ScanView(frame, quarter_turns, depth, surface, patches, levelling)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from fewview.geometry.camera import backproject, depth_edges
 from fewview.types import Array, BoolArray, FloatArray, Frame, Intrinsics, Surface
@@ -101,8 +102,14 @@ def reduce_depth(
     return reduced, camera
 
 
-def thin_surface(view: DepthView, voxel_m: float) -> Surface:
-    """One point a voxel with its normal; labels are all -1 until patches are found."""
+def thin_surface(view: DepthView, colour: NDArray[np.uint8], voxel_m: float) -> Surface:
+    """One point a voxel with its normal and colour; labels are -1 until patches are found.
+
+    Args:
+        view: reduced depth with normals.
+        colour: (H, W, 3) RGB of the full image.
+        voxel_m: spacing of the points.
+    """
     rows, columns = np.nonzero(view.depth > 0)
     points = view.points[rows, columns].astype(np.float64)
     keys = np.floor(points / voxel_m).astype(np.int64)
@@ -115,8 +122,11 @@ def thin_surface(view: DepthView, voxel_m: float) -> Surface:
     sums = np.stack([np.bincount(inverse, points[:, i], len(first)) for i in range(3)], axis=1)
     means = sums / count[:, None]
     normals, reliable = view.normals(rows[first], columns[first])
-    keep = reliable
-    return Surface(means[keep], normals[keep], np.full(int(keep.sum()), -1, dtype=np.int64))
+    size = (view.intrinsics.width, view.intrinsics.height)
+    small = cv2.resize(colour, size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255.0
+    lab = cv2.cvtColor(small, cv2.COLOR_RGB2LAB)[rows[first], columns[first]]
+    labels = np.full(int(reliable.sum()), -1, dtype=np.int64)
+    return Surface(means[reliable], normals[reliable], lab[reliable], labels)
 
 
 def _window_moments(points: FloatArray, valid: BoolArray) -> Array:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from fewview.completion.kinds import ScanView
 from fewview.config import FeatureConfig
-from fewview.geometry.camera import project
 from fewview.types import (
     Array,
     CompletedScan,
@@ -56,13 +54,7 @@ class Planes:
 
 def _mean_colours(view: ScanView) -> Array:
     """(patches, 3) mean Lab colour of each patch's surface points."""
-    pixels, _ = project(view.surface.points, view.frame.intrinsics)
-    height, width = view.frame.depth.shape
-    columns = np.clip(np.rint(pixels[:, 0]).astype(int), 0, width - 1)
-    rows = np.clip(np.rint(pixels[:, 1]).astype(int), 0, height - 1)
-    rgb = view.frame.colour[rows, columns].astype(np.float32)[None] / 255.0
-    lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)[0].astype(np.float64)
-    labels = view.surface.labels
+    lab, labels = view.surface.colours.astype(np.float64), view.surface.labels
     return np.array([lab[labels == i].mean(axis=0) for i in range(len(view.patches))])
 
 

@@ -1,14 +1,26 @@
-"""What speaks for and against a refined pose: agreement, contradiction, gravity, free space."""
+"""What speaks for and against refined poses: agreement, contradiction, gravity, free space."""
 
 from __future__ import annotations
 
-import numpy as np
-from scipy import ndimage
-from scipy.spatial import cKDTree
+from collections.abc import Sequence
+from dataclasses import dataclass
 
+import numpy as np
+
+from fewview.completion import KINDS
 from fewview.geometry import se3
 from fewview.geometry.camera import project
-from fewview.types import Array, CompletedScan, FloatArray, Levelling, Surface
+from fewview.matching.consistency import CandidateMatches
+from fewview.matching.prepared import PreparedScan
+from fewview.types import (
+    Array,
+    BoolArray,
+    CandidateOrigin,
+    Evidence,
+    IntArray,
+    Levelling,
+    Representation,
+)
 
 NEAR_M = 0.08
 MAX_POINTS = 1200
@@ -16,76 +28,158 @@ VISIBLE_TOLERANCE_M = 0.05
 VISIBLE_TOLERANCE_RELATIVE = 0.02
 
 
-def visible_agreement(
-    scan: CompletedScan, points: Array, depth_min: FloatArray, depth_max: FloatArray
-) -> tuple[Array, Array, Array]:
-    """How points fare against the depth image of a scan that should see them.
+def gather(
+    source: PreparedScan,
+    target: PreparedScan,
+    poses: Array,
+    matches: CandidateMatches,
+    support: BoolArray,
+    origins: Sequence[CandidateOrigin],
+    scores: Array,
+) -> list[Evidence]:
+    """Evidence for K different poses of a pair.
 
     Args:
-        scan: the scan that looks.
-        points: (K, n, 3) in its frame.
-        depth_min, depth_max: (h, w) smallest and largest depth around each pixel, 0 unknown.
-
-    Returns:
-        (K,) number of points that fall on measured pixels, the share of these on the measured
-        surface, and the share that lies in front of it, in space the scan has seen to be free.
+        source, target: the scans.
+        poses: (K, 4, 4) target_T_source.
+        matches: (m) candidate correspondences; support: (K, m) which agree with each pose.
+        origins, scores: where each pose came from and its score there.
     """
-    pixels, inside = project(points, scan.intrinsics)
+    surface = surface_agreement(source, target, poses)
+    visible = visible_agreement(source, target, poses)
+    tilt, floor_gap = gravity_disagreement(source.scan.levelling, target.scan.levelling, poses)
+    yaw = yaw_disagreement(source.scan.levelling, target.scan.levelling, poses)
+    per_kind = {k: _unique_support(matches, support, i) for i, k in enumerate(matches.kinds)}
+    planes = per_kind.get("planes", np.zeros(len(poses), dtype=np.int64))
+    points = sum(per_kind.values()) - planes
+    lead = np.clip(np.log1p(points) - _best_other(np.log1p(points)), -2.0, 2.0)
+    columns = {
+        **{name: np.log1p(count) for name, count in per_kind.items()},
+        "share": points / (10.0 + len(matches)),
+        "lead": lead,
+        "spread": np.array([_spread(matches.source[s]) for s in support]),
+        "overlap": surface.overlap,
+        "residual": surface.residual_m,
+        "colour": surface.colour_gap,
+        "visible": np.log1p(visible.count),
+        "on_surface": visible.on_surface,
+        "violation": np.sqrt(visible.in_front),
+        "tilt": np.minimum(tilt, 0.35),
+        "floor_gap": np.minimum(floor_gap, 0.5),
+        "yaw": yaw,
+        "manhattan": np.array([o is CandidateOrigin.MANHATTAN for o in origins], dtype=float),
+    }
+    columns["raster"] = columns["manhattan"] * scores / 100.0
+    return [
+        Evidence(
+            float(surface.residual_m[k]),
+            float(surface.overlap[k]),
+            float(visible.in_front[k]),
+            _by_representation(per_kind, k),
+            {name: float(values[k]) for name, values in columns.items()},
+        )
+        for k in range(len(poses))
+    ]
+
+
+@dataclass(frozen=True)
+class SurfaceAgreement:
+    """How two surfaces meet under K poses.
+
+    Attributes:
+        overlap: (K,) share of the smaller surface with a neighbour within 0.08 m facing alike.
+        residual_m: (K,) mean point-to-plane distance of these neighbours.
+        colour_gap: (K,) their mean difference in Lab after equal exposure, in units of 20.
+    """
+
+    overlap: Array
+    residual_m: Array
+    colour_gap: Array
+
+
+def surface_agreement(source: PreparedScan, target: PreparedScan, poses: Array) -> SurfaceAgreement:
+    """Compare nearest surface points both ways under (K, 4, 4) poses."""
+    forward = _Meeting.of(source, target, poses)
+    backward = _Meeting.of(target, source, se3.inverse(poses))
+    smaller = forward
+    if len(target.scan.surface.points) < len(source.scan.surface.points):
+        smaller = backward
+    count = forward.count + backward.count
+    total = np.maximum(count, 1)
+    residual = (forward.gap_sum + backward.gap_sum) / total
+    colour = (forward.colour_sum + backward.colour_sum) / total
+    return SurfaceAgreement(
+        smaller.share, np.where(count > 0, residual, NEAR_M), np.where(count > 0, colour, 1.0)
+    )
+
+
+@dataclass(frozen=True)
+class _Meeting:
+    """Points of one surface that meet the other: (K,) share, count, summed gaps."""
+
+    share: Array
+    count: Array
+    gap_sum: Array
+    colour_sum: Array
+
+    @staticmethod
+    def of(moving: PreparedScan, fixed: PreparedScan, fixed_T_moving: Array) -> _Meeting:
+        surface, other = moving.scan.surface, fixed.scan.surface
+        step = max(1, len(surface.points) // MAX_POINTS)
+        points = se3.transform(fixed_T_moving, surface.points[::step])
+        normals = se3.rotate(fixed_T_moving, surface.normals[::step])
+        shape = points.shape[:2]
+        distance, index = fixed.tree.query(points.reshape(-1, 3), distance_upper_bound=NEAR_M)
+        found = np.isfinite(distance).reshape(shape)
+        index = np.where(np.isfinite(distance), index, 0).reshape(shape)
+        found &= (normals * other.normals[index]).sum(axis=-1) > 0.7
+        gap = np.abs(((points - other.points[index]) * other.normals[index]).sum(axis=-1))
+        count = found.sum(axis=-1)
+        difference = surface.colours[::step][None] - other.colours[index]
+        exposure = (difference * found[..., None]).sum(axis=1) / np.maximum(count, 1)[:, None]
+        difference = np.abs(difference - exposure[:, None]).mean(axis=-1) / 20.0
+        return _Meeting(
+            count / max(shape[1], 1),
+            count,
+            (gap * found).sum(axis=-1),
+            (difference * found).sum(axis=-1),
+        )
+
+
+@dataclass(frozen=True)
+class Visibility:
+    """How the points of either scan fare in the other's depth image under K poses.
+
+    Attributes:
+        count: (K,) points that fall on measured pixels.
+        on_surface: (K,) share of these on the measured surface.
+        in_front: (K,) share of these in front of it, in space that was seen to be free.
+    """
+
+    count: Array
+    on_surface: Array
+    in_front: Array
+
+
+def visible_agreement(source: PreparedScan, target: PreparedScan, poses: Array) -> Visibility:
+    """Look at each scan's points through the other's camera under (K, 4, 4) poses."""
+    seen = _seen_by(target, se3.transform(poses, source.sample))
+    seen = seen + _seen_by(source, se3.transform(se3.inverse(poses), target.sample))
+    total = np.maximum(seen[0], 1)
+    return Visibility(seen[0], seen[1] / total, seen[2] / total)
+
+
+def _seen_by(scan: PreparedScan, points: Array) -> Array:
+    """(3, K) numbers of points (K, n, 3) that are measured, on the surface, in front of it."""
+    pixels, inside = project(points, scan.scan.intrinsics)
     columns = np.where(inside, np.rint(pixels[..., 0]), 0).astype(int)
     rows = np.where(inside, np.rint(pixels[..., 1]), 0).astype(int)
-    near, far, z = depth_min[rows, columns], depth_max[rows, columns], points[..., 2]
+    near, far, z = scan.depth_min[rows, columns], scan.depth_max[rows, columns], points[..., 2]
     measured = inside & (near > 0)
     tolerance = VISIBLE_TOLERANCE_M + VISIBLE_TOLERANCE_RELATIVE * z
     in_front = measured & (z < near - tolerance)
     on_surface = measured & ~in_front & (z < far + tolerance)
-    count = measured.sum(axis=-1)
-    total = np.maximum(count, 1)
-    return count, on_surface.sum(axis=-1) / total, in_front.sum(axis=-1) / total
-
-
-def depth_bounds(depth: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Smallest and largest valid depth in 3 x 3 pixels, 0 where none is valid."""
-    low = ndimage.minimum_filter(np.where(depth > 0, depth, np.inf), size=3)
-    high = ndimage.maximum_filter(depth, size=3)
-    return np.where(np.isfinite(low), low, 0).astype(np.float32), high
-
-
-def surface_agreement(
-    source: Surface,
-    target: Surface,
-    trees: tuple[cKDTree, cKDTree],
-    target_T_source: Array,
-) -> tuple[Array, Array]:
-    """Overlap and residual of (K, 4, 4) poses.
-
-    Returns:
-        (K,) share of the smaller surface that has a neighbour within 0.08 m facing the same way,
-        and (K,) mean point-to-plane distance of these, metres.
-    """
-    forward = _near(source, target, trees[1], target_T_source)
-    backward = _near(target, source, trees[0], se3.inverse(target_T_source))
-    smaller, other = (forward, backward)
-    if len(target.points) < len(source.points):
-        smaller, other = backward, forward
-    count = np.maximum(smaller[1] + other[1], 1)
-    residual = (smaller[2] + other[2]) / count
-    return smaller[0], np.where(smaller[1] + other[1] > 0, residual, NEAR_M)
-
-
-def _near(
-    moving: Surface, fixed: Surface, tree: cKDTree, fixed_T_moving: Array
-) -> tuple[Array, Array, Array]:
-    step = max(1, len(moving.points) // MAX_POINTS)
-    points = se3.transform(fixed_T_moving, moving.points[::step])
-    normals = se3.rotate(fixed_T_moving, moving.normals[::step])
-    distance, index = tree.query(points.reshape(-1, 3), distance_upper_bound=NEAR_M)
-    found = np.isfinite(distance).reshape(points.shape[:2])
-    index = np.where(np.isfinite(distance), index, 0).reshape(points.shape[:2])
-    facing = (normals * fixed.normals[index]).sum(axis=-1) > 0.7
-    found &= facing
-    gap = np.abs(((points - fixed.points[index]) * fixed.normals[index]).sum(axis=-1))
-    count = found.sum(axis=-1)
-    return count / max(points.shape[1], 1), count, (gap * found).sum(axis=-1)
+    return np.stack([x.sum(axis=-1) for x in (measured, on_surface, in_front)]).astype(np.float64)
 
 
 def gravity_disagreement(
@@ -109,3 +203,28 @@ def yaw_disagreement(source: Levelling, target: Levelling, target_T_source: Arra
     level = turned @ target.level_R_scan.T
     angle = np.arctan2(level[:, 1], level[:, 0])
     return np.abs((angle + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+
+
+def _unique_support(matches: CandidateMatches, support: BoolArray, kind: int) -> IntArray:
+    """(K,) number of different source features of a kind among the supporting correspondences."""
+    own = matches.kind == kind
+    return np.array([len(np.unique(matches.indices[s & own, 0])) for s in support], dtype=np.int64)
+
+
+def _by_representation(per_kind: dict[str, IntArray], k: int) -> dict[Representation, int]:
+    counts = dict.fromkeys(Representation, 0)
+    for kind in KINDS:
+        counts[kind.representation] += int(per_kind[kind.name][k])
+    return counts
+
+
+def _spread(points: Array) -> float:
+    """How well points pin down a rotation: their second largest standard deviation, metres."""
+    if len(points) < 3:
+        return 0.0
+    return float(np.sqrt(max(np.linalg.eigvalsh(np.cov(points.T))[1], 0.0)))
+
+
+def _best_other(values: Array) -> Array:
+    """For each entry the largest of the others, 0 when alone."""
+    return np.array([np.delete(values, k).max(initial=0.0) for k in range(len(values))])

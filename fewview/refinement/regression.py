@@ -32,11 +32,11 @@ MAX_STEP = np.array([0.3, 0.3, 0.3, 0.5, 0.5, 0.5])
 
 @dataclass(frozen=True)
 class Matches:
-    """Matched features per candidate, padded to one length.
+    """Matched features of a pair.
 
     Attributes:
-        source, target: (K, m, 3) positions.
-        weight: (K, m), 0 where padded.
+        source, target: (m, 3) positions.
+        weight: (K, m), 0 where a match does not agree with a candidate.
     """
 
     source: Array
@@ -74,8 +74,8 @@ class _Term:
 
 
 def refine(
-    source: Surface,
-    target: Surface,
+    source: tuple[Surface, cKDTree],
+    target: tuple[Surface, cKDTree],
     target_T_source: Array,
     relations: Relations,
     matches: Matches,
@@ -84,20 +84,21 @@ def refine(
     """Refine (K, 4, 4) candidate poses.
 
     Args:
-        source: visible surface of the source scan.
-        target: visible surface of the target scan.
+        source: surface of the source scan and the k-d tree of its points.
+        target: the same of the target scan.
         target_T_source: (K, 4, 4) initial poses.
         relations: predicted relations under these poses.
         matches: features that agree with each pose.
         config: scales and iteration counts.
     """
+    if len(target_T_source) == 0:
+        return Refined(target_T_source, np.zeros((0, 6, 6)), np.zeros(0, dtype=bool))
     poses = target_T_source.copy()
-    trees = cKDTree(source.points), cKDTree(target.points)
     step = np.full((len(poses), 6), np.inf)
     radii = config.neighbour_m
     for alternation in range(config.iterations):
         radius = radii[min(alternation, len(radii) - 1)]
-        pairs = _neighbours(source, target, trees, poses, radius)
+        pairs = _neighbours(source, target, poses, radius)
         for _ in range(config.gauss_newton_steps):
             terms = list(_terms(poses, pairs, relations, matches, config))
             step = _gauss_newton_step(terms)
@@ -121,18 +122,17 @@ class _Neighbours:
 
 
 def _neighbours(
-    source: Surface,
-    target: Surface,
-    trees: tuple[cKDTree, cKDTree],
+    searchable_source: tuple[Surface, cKDTree],
+    searchable_target: tuple[Surface, cKDTree],
     poses: Array,
     radius: float,
 ) -> _Neighbours:
     """Nearest neighbours from source to target and from target to source."""
-    s = _subset(len(source.points))
-    t = _subset(len(target.points))
-    forward, forward_near = _query(trees[1], se3.transform(poses, source.points[s]), radius)
+    (source, source_tree), (target, target_tree) = searchable_source, searchable_target
+    s, t = _subset(len(source.points)), _subset(len(target.points))
     inverse = se3.inverse(poses)
-    backward, backward_near = _query(trees[0], se3.transform(inverse, target.points[t]), radius)
+    forward, forward_near = _query(target_tree, se3.transform(poses, source.points[s]), radius)
+    backward, backward_near = _query(source_tree, se3.transform(inverse, target.points[t]), radius)
     count = len(poses)
 
     def joined(ours: Array, kept: np.ndarray, theirs: np.ndarray, forwards: bool) -> Array:

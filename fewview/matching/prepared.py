@@ -1,0 +1,46 @@
+"""What every pair needs of a scan and should not compute again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from fewview.matching.manhattan import TopDown, top_down
+from fewview.types import Array, CompletedScan, FloatArray
+
+
+@dataclass(frozen=True)
+class PreparedScan:
+    """A completed scan with search structures.
+
+    Attributes:
+        scan: the scan.
+        tree: k-d tree of its surface points.
+        sample: (n, 3) even selection of the surface points.
+        depth_min, depth_max: (h, w) smallest and largest valid depth in 3 x 3 pixels, 0 unknown.
+        raster: its top-down rasters.
+    """
+
+    scan: CompletedScan
+    tree: cKDTree
+    sample: Array
+    depth_min: FloatArray
+    depth_max: FloatArray
+    raster: TopDown
+
+
+def prepare(scan: CompletedScan, sample: int = 1000) -> PreparedScan:
+    """Search structures of one scan; ``sample`` points are kept for visibility checks."""
+    points = scan.surface.points
+    chosen = points[:: max(1, len(points) // sample)]
+    low, high = _depth_bounds(scan.depth)
+    return PreparedScan(scan, cKDTree(points), chosen, low, high, top_down(scan))
+
+
+def _depth_bounds(depth: FloatArray) -> tuple[FloatArray, FloatArray]:
+    low = ndimage.minimum_filter(np.where(depth > 0, depth, np.inf), size=3)
+    high = ndimage.maximum_filter(depth, size=3)
+    return np.where(np.isfinite(low), low, 0).astype(np.float32), high

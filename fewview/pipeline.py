@@ -1,0 +1,185 @@
+"""The whole way: scans to features, features to pairs, pairs to poses, poses to a mesh."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+from fewview import fusion, global_stage
+from fewview.completion import complete
+from fewview.completion.orientation import quarter_turns, turned_descriptors
+from fewview.config import Config
+from fewview.errors import FewviewError
+from fewview.executor import Executor
+from fewview.matching.prepared import PreparedScan, prepare
+from fewview.pairwise import match_pair
+from fewview.types import (
+    ColouredMesh,
+    CompletedScan,
+    Frame,
+    GlobalSolution,
+    Observer,
+    PairResult,
+    PairStatus,
+    Reconstruction,
+    ScanSet,
+)
+
+log = logging.getLogger(__name__)
+
+
+def reconstruct(
+    scans: ScanSet,
+    config: Config | None = None,
+    seed: int = 0,
+    jobs: int | None = None,
+    observers: Sequence[Observer] = (),
+) -> Reconstruction:
+    """Poses and meshes of a set of scans.
+
+    Args:
+        scans: what `fewview.load` returned.
+        config: settings; the defaults when not given.
+        seed: the same seed and settings give the same result.
+        jobs: worker threads; every core when not given.
+        observers: are told of every step and cannot change any.
+
+    Raises:
+        ScanError: a scan's pixels cannot be used.
+    """
+    run = _Run(scans, config or Config(), seed, Executor(jobs), tuple(observers))
+    return run.everything()
+
+
+class _Run:
+    """One run: its inputs, its clock and its observers."""
+
+    def __init__(
+        self,
+        scans: ScanSet,
+        config: Config,
+        seed: int,
+        executor: Executor,
+        observers: tuple[Observer, ...],
+    ) -> None:
+        self.scans = scans
+        self.config = config
+        self.seed = seed
+        self.executor = executor
+        self.observers = observers
+        self.timings_s: dict[str, float] = {}
+
+    def everything(self) -> Reconstruction:
+        self._tell(lambda o: o.started(self.scans))
+        with self._timed("features"):
+            completed = self._complete()
+        with self._timed("pairs"):
+            pairs = self._match(completed)
+        with self._timed("global"):
+            solution = global_stage.solve(
+                [s.name for s in self.scans.scans],
+                [c.levelling for c in completed],
+                pairs,
+                self.config.global_stage,
+                self.seed,
+            )
+        self._tell(lambda o: o.solved(solution))
+        with self._timed("fusion"):
+            meshes = self._fuse(solution)
+        self._tell(lambda o: o.finished(self.timings_s))
+        return Reconstruction(
+            self.scans,
+            completed,
+            pairs,
+            solution,
+            meshes,
+            self.timings_s,
+            self.seed,
+            self.config.hash(),
+        )
+
+    def _complete(self) -> tuple[CompletedScan, ...]:
+        scans = self.scans.scans
+        turns = [0] * len(scans)
+        if self.config.features.quarter_turns:
+            described = self.executor.map(lambda s: turned_descriptors(s.load()), scans)
+            turns = quarter_turns(list(described)).tolist()
+
+        def one(index: int) -> tuple[Frame, CompletedScan]:
+            frame = scans[index].load()
+            features = self.config.features
+            return frame, complete(
+                scans[index].name, frame, turns[index], features, self.seed + index
+            )
+
+        completed = []
+        for index, (frame, result) in enumerate(self.executor.map(one, range(len(scans)))):
+            self._tell(lambda o, i=index, f=frame, r=result: o.scan_completed(i, f, r))
+            completed.append(result)
+        return tuple(completed)
+
+    def _match(self, completed: tuple[CompletedScan, ...]) -> tuple[PairResult, ...]:
+        prepared: list[PreparedScan] = list(self.executor.map(prepare, completed))
+
+        def one(indices: tuple[int, int]) -> PairResult:
+            source, target = indices
+            try:
+                return match_pair(prepared[source], prepared[target], indices, self.config)
+            except (ValueError, ArithmeticError, RuntimeError) as error:
+                log.warning("pair %s failed: %s", indices, error)
+                return PairResult(source, target, PairStatus.FAILED, (), str(error))
+
+        results = []
+        for result in self.executor.map(one, itertools.combinations(range(len(prepared)), 2)):
+            self._tell(lambda o, r=result: o.pair_matched(r))
+            results.append(result)
+        return tuple(results)
+
+    def _fuse(self, solution: GlobalSolution) -> tuple[ColouredMesh, ...]:
+        meshes = []
+        for number, component in enumerate(solution.components):
+            placed = (
+                (self.scans.scans[i].load(), pose)
+                for i in component.scans
+                if (pose := solution.placements[i].world_T_scan) is not None
+            )
+            mesh = fusion.fuse(placed, self.config.fusion)
+            self._tell(lambda o, n=number, m=mesh: o.mesh_fused(n, m))
+            meshes.append(mesh)
+        return tuple(meshes)
+
+    def _tell(self, call: Callable[[Observer], None]) -> None:
+        with self._timed("recording"):
+            for observer in self.observers:
+                call(observer)
+
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.timings_s[stage] = self.timings_s.get(stage, 0.0) + time.perf_counter() - start
+
+
+def match_two(
+    scans: ScanSet, source: str, target: str, config: Config, seed: int = 0
+) -> PairResult:
+    """Top-K relative poses of two scans of a set, by name.
+
+    Raises:
+        FewviewError: a name is not in the set, or both are the same.
+    """
+    by_name = {s.name: s for s in scans.scans}
+    for name in (source, target):
+        if name not in by_name:
+            known = ", ".join(sorted(by_name)[:8])
+            raise FewviewError(f"there is no scan '{name}'; there are {known} ...")
+    if source == target:
+        raise FewviewError(f"a pair needs two different scans; '{source}' was given twice")
+    chosen = ScanSet(
+        scans.format, (by_name[source], by_name[target]), scans.depth_unit_m, scans.notes
+    )
+    run = _Run(chosen, config, seed, Executor(1), ())
+    return run._match(run._complete())[0]
