@@ -1,8 +1,8 @@
 """One consistent set of camera poses and a mesh from a few RGB-D scans that hardly overlap.
 
-    import fewview
-    result = fewview.reconstruct(fewview.load("scans/"))
-    fewview.save(result, "mesh.ply")
+import fewview
+result = fewview.reconstruct(fewview.load("scans/"))
+fewview.save(result, "mesh.ply")
 """
 
 from __future__ import annotations

@@ -257,7 +257,7 @@ def _scores(scans: Path, report: Path) -> str:
         values = json.loads(report.read_text())
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         reason = "cannot be read" if isinstance(error, OSError) else "is not JSON"
-        raise FewviewError(f"{report}: the report {reason}; write it with fewview reconstruct") from error
+        raise FewviewError(f"{report}: {reason}; give a report of fewview reconstruct") from error
     truth = readers.truth(scans)
     if not truth:
         raise FewviewError(f"{scans}: no ground-truth poses beside the scans to compare with")

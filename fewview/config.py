@@ -1,4 +1,4 @@
-"""Settings: one frozen dataclass a stage, YAML presets, unknown keys refused with the nearest name."""
+"""Settings: one frozen dataclass a stage, YAML presets; unknown keys are refused."""
 
 from __future__ import annotations
 

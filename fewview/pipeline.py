@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import logging
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from fewview import fusion, global_stage
@@ -73,7 +73,7 @@ class _Run:
         self.timings_s: dict[str, float] = {}
 
     def everything(self) -> Reconstruction:
-        self._tell(lambda o: o.started(self.scans))
+        self._tell("started", self.scans)
         with self._timed("features"):
             completed = self._complete()
         with self._timed("pairs"):
@@ -86,10 +86,10 @@ class _Run:
                 self.config.global_stage,
                 self.seed,
             )
-        self._tell(lambda o: o.solved(solution))
+        self._tell("solved", solution)
         with self._timed("fusion"):
             meshes = self._fuse(solution)
-        self._tell(lambda o: o.finished(self.timings_s))
+        self._tell("finished", self.timings_s)
         return Reconstruction(
             self.scans,
             completed,
@@ -117,7 +117,7 @@ class _Run:
 
         completed = []
         for index, (frame, result) in enumerate(self.executor.map(one, range(len(scans)))):
-            self._tell(lambda o, i=index, f=frame, r=result: o.scan_completed(i, f, r))
+            self._tell("scan_completed", index, frame, result)
             completed.append(result)
         return tuple(completed)
 
@@ -134,7 +134,7 @@ class _Run:
 
         results = []
         for result in self.executor.map(one, itertools.combinations(range(len(prepared)), 2)):
-            self._tell(lambda o, r=result: o.pair_matched(r))
+            self._tell("pair_matched", result)
             results.append(result)
         return tuple(results)
 
@@ -147,14 +147,14 @@ class _Run:
                 if (pose := solution.placements[i].world_T_scan) is not None
             )
             mesh = fusion.fuse(placed, self.config.fusion)
-            self._tell(lambda o, n=number, m=mesh: o.mesh_fused(n, m))
+            self._tell("mesh_fused", number, mesh)
             meshes.append(mesh)
         return tuple(meshes)
 
-    def _tell(self, call: Callable[[Observer], None]) -> None:
+    def _tell(self, event: str, *arguments: object) -> None:
         with self._timed("recording"):
             for observer in self.observers:
-                call(observer)
+                getattr(observer, event)(*arguments)
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:

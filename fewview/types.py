@@ -328,7 +328,7 @@ class EdgeReport:
 
 @dataclass(frozen=True)
 class ScanPlacement:
-    """Where a scan ended up. `world_T_scan` is None when it was not placed, and `reason` says why."""
+    """Where a scan ended up; without a pose it was not placed, and `reason` says why."""
 
     name: str
     component: int | None

@@ -38,9 +38,8 @@ def level(surface: Surface, patches: tuple[PlanarPatch, ...], quarter_turns: int
 
 def upright(quarter_turns: int) -> Array:
     """The camera's up axis when its image needs that many counter-clockwise quarter turns."""
-    return np.array([(0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)])[
-        quarter_turns % 4
-    ]
+    axes = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
+    return np.array(axes[quarter_turns % 4])
 
 
 def _up_direction(

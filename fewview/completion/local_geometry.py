@@ -85,8 +85,8 @@ def reduce_depth(
     height, width = depth.shape[0] // step, depth.shape[1] // step
     if step == 1:
         return depth.copy(), intrinsics
-    blocks = depth[: height * step, : width * step].reshape(height, step, width, step)
-    blocks = blocks.transpose(0, 2, 1, 3).reshape(height, width, step * step)
+    tiles = depth[: height * step, : width * step].reshape(height, step, width, step)
+    blocks = tiles.transpose(0, 2, 1, 3).reshape(height, width, step * step)
     ordered = np.sort(np.where(blocks > 0, blocks, np.inf), axis=-1)
     count = (blocks > 0).sum(axis=-1)
     middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[..., None] // 2, axis=-1)

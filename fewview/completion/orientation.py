@@ -67,7 +67,7 @@ def _synchronise(votes: FloatArray) -> IntArray:
     placed[int(margin.sum(axis=1).argmax())] = True
     while not placed.all():
         outside = np.flatnonzero(~placed)
-        score = np.stack([_score(votes, turns, placed, i) for i in outside])
+        score = np.stack([_score(votes, turns, placed, i) for i in outside.tolist()])
         top = np.sort(score, axis=1)
         pick = int((top[:, 3] - top[:, 2]).argmax())
         turns[outside[pick]] = score[pick].argmax()

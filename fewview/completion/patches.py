@@ -57,7 +57,7 @@ def _best_plane(
     inside = agree[:, int(agree.sum(axis=0).argmax())]
     for _ in range(2):
         inside = _refit(points, normals, inside, tolerance[free])
-    return free[inside]
+    return np.asarray(free[inside])
 
 
 def _refit(points: Array, normals: Array, inside: BoolArray, tolerance: Array) -> BoolArray:

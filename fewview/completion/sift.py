@@ -1,4 +1,4 @@
-"""SIFT keypoints of the visible part (Sec. 3.2), RootSIFT descriptors, nearest-neighbour matches."""
+"""SIFT keypoints of the visible part (Sec. 3.2) with RootSIFT descriptors."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def rotation_exp(omega: Array) -> Array:
     safe = np.where(small, 1.0, angle)
     a = np.where(small, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
     b = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
-    return np.eye(3) + a * k + b * (k @ k)
+    return np.asarray(np.eye(3) + a * k + b * (k @ k))
 
 
 def rotation_log(rotation: Array) -> Array:
@@ -69,7 +69,7 @@ def _log_one(r: Array) -> Array:
     sine, cosine = float(np.linalg.norm(sin_axis)), 0.5 * (float(np.trace(r)) - 1.0)
     angle = np.arctan2(sine, cosine)
     if sine > 1e-6:
-        return sin_axis * (angle / sine)
+        return np.asarray(sin_axis * (angle / sine))
     if cosine > 0.0:
         return sin_axis
     outer = 0.5 * (r + np.eye(3))

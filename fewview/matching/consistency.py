@@ -92,7 +92,8 @@ def stack(
             features = scan.features[name]
             columns[side][rows] = features.positions[indices[rows, side]]
             columns[side + 2][rows] = features.normals[indices[rows, side]]
-    return CandidateMatches(*columns, similarity, names, kind, indices)
+    p, q, n, m = columns
+    return CandidateMatches(p, q, n, m, similarity, names, kind, indices)
 
 
 def consistency_matrix(matches: CandidateMatches) -> sparse.csr_matrix:
@@ -117,7 +118,7 @@ def _compatible_lengths(matches: CandidateMatches) -> Iterator[tuple[IntArray, I
     p, q = matches.source.astype(np.float32), matches.target.astype(np.float32)
     gamma = matches.scale("length_m") ** 2
     limit = -np.log(MIN_ENTRY)
-    for start in range(0, len(matches), BLOCK):
+    for start in range(0, max(len(matches), 1), BLOCK):
         stop = min(start + BLOCK, len(matches))
         here = slice(start, stop)
         length_p, length_q = _lengths(p[here], p[start:]), _lengths(q[here], q[start:])

@@ -82,7 +82,7 @@ def manhattan_poses(
 def _cells(points: Array) -> tuple[np.ndarray, np.ndarray]:
     cells = np.rint(points[..., :2] / CELL_M).astype(int) + HALF
     inside = ((cells >= 0) & (cells < SIZE)).all(axis=-1)
-    return cells, inside
+    return cells, np.asarray(inside)
 
 
 def _wall_raster(points: Array, normals: Array) -> FloatArray:
@@ -151,7 +151,7 @@ def _height_histogram(points: Array, normals: Array) -> FloatArray:
     up = np.histogram(points[normals[:, 2] > 0.9, 2], bins)[0]
     down = np.histogram(points[normals[:, 2] < -0.9, 2], bins)[0]
     smooth = ndimage.gaussian_filter1d(np.stack([up, down]).astype(np.float32), 1.0, axis=1)
-    return np.sqrt(smooth)
+    return np.asarray(np.sqrt(smooth))
 
 
 def _height_shift(

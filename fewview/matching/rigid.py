@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from fewview.geometry import se3
 from fewview.types import Array
 

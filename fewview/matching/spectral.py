@@ -75,12 +75,10 @@ def leading_eigenvector(matrix: sparse.csr_matrix, alive: BoolArray) -> Array:
             break
         vector = following
     norm = np.linalg.norm(vector)
-    return vector / norm if norm > 0 else vector
+    return np.asarray(vector / norm if norm > 0 else vector)
 
 
-def round_greedily(
-    vector: Array, matrix: sparse.csr_matrix, matches: CandidateMatches
-) -> IntArray:
+def round_greedily(vector: Array, matrix: sparse.csr_matrix, matches: CandidateMatches) -> IntArray:
     """Indices of a consistent one-to-one set: in falling order of the eigenvector, one joins when
     it agrees with at least half of those chosen and shares no feature with them."""
     order = np.argsort(-vector, kind="stable")
@@ -106,12 +104,11 @@ def agreeing(matches: CandidateMatches, target_T_source: Array, scale: float) ->
     turned = se3.rotate(target_T_source, matches.source_normals)
     distance = np.linalg.norm(moved - matches.target, axis=1)
     cosine = (turned * matches.target_normals).sum(axis=1)
-    return (distance < scale * matches.scale("length_m")) & (cosine > MAX_NORMAL_COS)
+    near = distance < scale * matches.scale("length_m")
+    return np.asarray(near & (cosine > MAX_NORMAL_COS))
 
 
-def _fit(
-    matches: CandidateMatches, matrix: sparse.csr_matrix, chosen: IntArray
-) -> PoseHypothesis:
+def _fit(matches: CandidateMatches, matrix: sparse.csr_matrix, chosen: IntArray) -> PoseHypothesis:
     score = float(matrix[chosen][:, chosen].sum()) / len(chosen)
     target_T_source = _fit_to(matches, chosen)
     inliers = chosen

@@ -202,7 +202,7 @@ def yaw_disagreement(source: Levelling, target: Levelling, target_T_source: Arra
     turned = target_T_source[:, :3, :3] @ source.level_R_scan[0]
     level = turned @ target.level_R_scan.T
     angle = np.arctan2(level[:, 1], level[:, 0])
-    return np.abs((angle + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+    return np.asarray(np.abs((angle + np.pi / 4) % (np.pi / 2) - np.pi / 4))
 
 
 def _unique_support(matches: CandidateMatches, support: BoolArray, kind: int) -> IntArray:

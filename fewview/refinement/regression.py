@@ -70,7 +70,7 @@ class _Term:
 
     def robust_weight(self) -> Array:
         squared = (self.residual**2).sum(axis=-1)
-        return self.weight * self.alpha**2 / (self.alpha**2 + squared)
+        return np.asarray(self.weight * self.alpha**2 / (self.alpha**2 + squared))
 
 
 def refine(
@@ -276,14 +276,12 @@ def _covariance(terms: list[_Term], poses: Array) -> Array:
     """Inverse Hessian times the variance of the residuals, neighbouring points counted as one
     independent measurement per `POINTS_PER_INDEPENDENT_ONE`; moved to the source frame."""
     hessian, _ = _normal_equations(terms)
-    weight = sum(np.broadcast_to(t.robust_weight(), t.residual.shape[:2]).sum(axis=1) for t in terms)
-    energy = sum(
-        (np.broadcast_to(t.robust_weight(), t.residual.shape[:2])[..., None] * t.residual**2).sum(
-            axis=(1, 2)
-        )
-        for t in terms
-    )
-    variance = np.asarray(energy) / np.maximum(np.asarray(weight), 1e-9) + 1e-6
+    weight, energy = np.zeros(len(poses)), np.zeros(len(poses))
+    for term in terms:
+        robust = np.broadcast_to(term.robust_weight(), term.residual.shape[:2])
+        weight += robust.sum(axis=1)
+        energy += (robust[..., None] * term.residual**2).sum(axis=(1, 2))
+    variance = energy / np.maximum(weight, 1e-9) + 1e-6
     scale = np.maximum(np.trace(hessian, axis1=1, axis2=2) / 6.0, 1e-9)
     regular = hessian + (1e-6 * scale)[:, None, None] * np.eye(6)
     factor = (POINTS_PER_INDEPENDENT_ONE * variance)[:, None, None]

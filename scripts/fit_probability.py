@@ -1,0 +1,215 @@
+"""Fit the candidate probabilities on validation scenes and store them in the package.
+
+    python scripts/fit_probability.py --rooms 12 --scene FOLDER ... --check FOLDER ...
+
+Validation scenes are generated rooms of the validation split and folders given with --scene;
+folders given with --check are never fitted to, they only show how the result carries over.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import platform
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+
+from fewview import scans as readers
+from fewview import synthetic
+from fewview.completion import complete
+from fewview.config import Config
+from fewview.evaluation.calibration import expected_calibration_error
+from fewview.executor import Executor
+from fewview.geometry import se3
+from fewview.matching.prepared import prepare
+from fewview.pairwise import weigh_pair
+from fewview.probability import ProbabilityModel
+from fewview.types import Array, Frame
+
+RIGHT_DEG, RIGHT_M = 15.0, 0.3
+FEATURES = (
+    "xfeat",
+    "sift",
+    "planes",
+    "share",
+    "lead",
+    "spread",
+    "overlap",
+    "residual",
+    "colour",
+    "visible",
+    "on_surface",
+    "violation",
+    "tilt",
+    "floor_gap",
+    "yaw",
+    "manhattan",
+    "raster",
+)
+RIDGE = 2.0
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Candidates of a pair as named features, and which of them is right (None: none is)."""
+
+    scene: str
+    candidates: list[dict[str, float]]
+    right: int | None
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rooms", type=int, default=12)
+    parser.add_argument("--views", type=int, default=10)
+    parser.add_argument("--scene", type=Path, nargs="*", default=[])
+    parser.add_argument("--check", type=Path, nargs="*", default=[])
+    parser.add_argument("--cache", type=Path, default=Path("results/probability"))
+    parser.add_argument("--out", type=Path, default=Path("fewview/weights/probability.json"))
+    options = parser.parse_args()
+    options.cache.mkdir(parents=True, exist_ok=True)
+    rooms = [f"room-{i}" for i in range(options.rooms)]
+    fit = [p for r in rooms for p in cached(options.cache, r, lambda r=r: room(r, options.views))]
+    fit += [p for f in options.scene for p in cached(options.cache, f.name, lambda f=f: folder(f))]
+    check = {f.name: cached(options.cache, f.name, lambda f=f: folder(f)) for f in options.check}
+    model = fitted(fit)
+    report = {"fit": summary(model, fit)} | {k: summary(model, v) for k, v in check.items()}
+    print(json.dumps(report, indent=1))
+    if check:
+        held_out = [p for pairs in check.values() for p in pairs]
+        report["all_checked"] = summary(model, held_out)
+        print("all checked:", report["all_checked"])
+    options.out.write_text(json.dumps(stored(model, options, report), indent=1) + "\n")
+
+
+def cached(cache: Path, name: str, make: Any) -> list[Pair]:
+    path = cache / f"{name}.json"
+    if not path.is_file():
+        pairs = [p.__dict__ for p in make()]
+        path.write_text(json.dumps(pairs))
+        right = sum(p["right"] is not None for p in pairs)
+        print(f"{name}: {len(pairs)} pairs, {right} with a right candidate", flush=True)
+    return [Pair(**p) for p in json.loads(path.read_text())]
+
+
+def room(name: str, views: int) -> Iterator[Pair]:
+    index = int(name.split("-")[1])
+    mode = "spread" if index % 2 else "random"
+    scene = synthetic.generate(synthetic.split_seed("validation", index), views, index, mode)
+    yield from pairs_of(name, list(scene.frames), [scene.poses[n] for n in scene.names])
+
+
+def folder(path: Path, most: int = 24) -> Iterator[Pair]:
+    found, truth = readers.load(path).scans, readers.truth(path)
+    known = [s for s in found if s.name in truth]
+    chosen = [known[i] for i in np.linspace(0, len(known) - 1, min(most, len(known))).astype(int)]
+    yield from pairs_of(path.name, [s.load() for s in chosen], [truth[s.name] for s in chosen])
+
+
+def pairs_of(name: str, frames: list[Frame], poses: list[Array]) -> Iterator[Pair]:
+    config, executor = Config(), Executor()
+    features = config.features
+    scans = list(
+        executor.map(
+            lambda i: prepare(complete(str(i), frames[i], 0, features, i)), range(len(frames))
+        )
+    )
+
+    def one(pair: tuple[int, int]) -> Pair:
+        i, j = pair
+        weighed = weigh_pair(scans[i], scans[j], config)
+        truth = se3.inverse(poses[j]) @ poses[i]
+        turn, shift = se3.distance(weighed.poses, truth)
+        right = (np.degrees(turn) < RIGHT_DEG) & (shift < RIGHT_M)
+        error = np.degrees(turn) / RIGHT_DEG + shift / RIGHT_M
+        best = int(np.where(right, error, np.inf).argmin()) if right.any() else None
+        return Pair(name, [dict(e.features) for e in weighed.evidence], best)
+
+    yield from executor.map(one, itertools.combinations(range(len(frames)), 2))
+
+
+def fitted(pairs: list[Pair]) -> ProbabilityModel:
+    """Maximum likelihood of the conditional logit with a ridge; each scene counts alike."""
+    pairs = [p for p in pairs if p.candidates]
+    rows = [np.array([[c[f] for f in FEATURES] for c in p.candidates]) for p in pairs]
+    stacked = np.concatenate(rows)
+    mean, scale = stacked.mean(axis=0), stacked.std(axis=0) + 1e-6
+    rows = [(r - mean) / scale for r in rows]
+    sizes = {s: sum(p.scene == s for p in pairs) for s in {p.scene for p in pairs}}
+    weights = np.array([np.sqrt(45.0 / sizes[p.scene]) for p in pairs])
+
+    def loss(parameters: Array) -> tuple[float, Array]:
+        value = RIDGE * float(parameters[:-1] @ parameters[:-1])
+        slope = np.append(2 * RIDGE * parameters[:-1], 0.0)
+        for x, pair, weight in zip(rows, pairs, weights, strict=True):
+            z = x @ parameters[:-1] + parameters[-1]
+            shift = max(z.max(), 0.0)
+            total = np.exp(-shift) + np.exp(z - shift).sum()
+            p = np.exp(z - shift) / total
+            value += weight * (np.log(total) + shift)
+            delta = p.copy()
+            if pair.right is not None:
+                value -= weight * z[pair.right]
+                delta[pair.right] -= 1.0
+            slope += weight * np.append(delta @ x, delta.sum())
+        return value, slope
+
+    found = minimize(loss, np.zeros(len(FEATURES) + 1), jac=True, method="L-BFGS-B")
+    return ProbabilityModel(FEATURES, mean, scale, found.x[:-1], float(found.x[-1]))
+
+
+def summary(model: ProbabilityModel, pairs: list[Pair]) -> dict[str, float]:
+    """How the model does on pairs: calibration of all candidates, and the best one's hits."""
+    probability, outcome, hits, sure, wrong = [], [], 0, 0, 0
+    for pair in pairs:
+        if not pair.candidates:
+            continue
+        p = model.probabilities(pair.candidates)
+        probability += p.tolist()
+        outcome += [k == pair.right for k in range(len(p))]
+        best = int(p.argmax())
+        hits += best == pair.right
+        sure += p[best] > 0.5
+        wrong += p[best] > 0.5 and best != pair.right
+    return {
+        "pairs": len(pairs),
+        "with_right_candidate": sum(p.right is not None for p in pairs),
+        "best_is_right": int(hits),
+        "above_half": int(sure),
+        "above_half_and_wrong": int(wrong),
+        "ece": round(expected_calibration_error(np.array(probability), np.array(outcome)), 4),
+    }
+
+
+def stored(
+    model: ProbabilityModel, options: argparse.Namespace, report: dict[str, Any]
+) -> dict[str, Any]:
+    return {
+        "features": list(model.features),
+        "mean": model.mean.round(6).tolist(),
+        "scale": model.scale.round(6).tolist(),
+        "coefficients": model.coefficients.round(6).tolist(),
+        "intercept": round(model.intercept, 6),
+        "made": {
+            "by": "scripts/fit_probability.py",
+            "model": "conditional logit, ridge 2",
+            "right_within": {"deg": RIGHT_DEG, "m": RIGHT_M},
+            "rooms": options.rooms,
+            "views_per_room": options.views,
+            "scenes": [f.name for f in options.scene],
+            "checked_on": [f.name for f in options.check],
+            "config_hash": Config().hash(),
+            "python": platform.python_version(),
+            "report": report,
+        },
+    }
+
+
+if __name__ == "__main__":
+    main()
