@@ -20,16 +20,16 @@ demo: $(READY) ## synthetic rooms, reconstructed and compared with the truth, in
 	$(BIN)/fewview demo --out demo
 
 test: lint typecheck ## lint, types, all tests
-	OMP_NUM_THREADS=1 $(BIN)/pytest -q -n $(JOBS)
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS)
 
 test-fast: $(READY) ## the tests without the slow ones
-	OMP_NUM_THREADS=1 $(BIN)/pytest -q -n $(JOBS) -m "not slow"
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) -m "not slow"
 
 lint: $(READY) ## ruff: rules and formatting
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-typecheck: $(READY) ## mypy; strict where pyproject.toml says so
+typecheck: $(READY) ## mypy, strict
 	$(BIN)/mypy
 
 format: $(READY) ## let ruff rewrite
