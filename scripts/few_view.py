@@ -17,10 +17,11 @@ from typing import Any
 
 from fewview.evaluation import evaluate_report
 from peers.methods import PEERS
-from predictions import Task, predict, truth_of
+from predictions import Task, predict
 from scenes import Scene
 from sets import frame_sets, half_turned, overlaps_by_name
-from summary import markdown, summarise
+from summary import summarise
+from tables import markdown
 
 Json = dict[str, Any]
 METHODS = ("identity", *PEERS, "fewview")
@@ -38,10 +39,13 @@ def main() -> None:
         "jobs": arguments.jobs,
         "fewview_options": arguments.option,
     }
-    results = {"settings": settings, "groups": summarise(rows, PEER_TO_BEAT), "rows": rows}
+    summary = summarise(rows, PEER_TO_BEAT)
+    for row in rows:
+        del row["scores"]["pairs"]
+    results = {"settings": settings, **summary, "rows": rows}
+    table = markdown(settings, summary)
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     arguments.out.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n")
-    table = markdown(results)
     arguments.out.with_suffix(".md").write_text(table)
     print(table)
 
@@ -123,7 +127,9 @@ def score(task: Task, prediction: Json, cache: Path) -> Json:
         scans = [{"name": n, "placed": False, "component": None} for n in task.chosen.names]
         report = {"scans": scans, "pairs": []}
     scores = evaluate_report(
-        report, truth_of(task), overlaps=overlaps_by_name(task.scene, task.chosen.names, cache)
+        report,
+        task.scene.turned_truth(task.chosen.names, task.turns),
+        overlaps=overlaps_by_name(task.scene, task.chosen.names, cache),
     )
     return {
         "scene": task.scene.name,

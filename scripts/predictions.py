@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from fewview.types import Array
 from measure import Measured, measure
 from scenes import Scene
 from sets import FrameSet
@@ -66,12 +65,6 @@ def predict(task: Task, cache: Path) -> Json:
         part.write_text(json.dumps(prediction))
         part.replace(path)
     return prediction
-
-
-def truth_of(task: Task) -> dict[str, Array]:
-    """True poses of the frames as the method gets them, turned ones included."""
-    with tempfile.TemporaryDirectory() as folder:
-        return task.scene.write(task.chosen.names, task.turns, Path(folder))
 
 
 def _run(task: Task) -> Json:

@@ -66,23 +66,26 @@ class Scene:
         points = camera.backproject(frame.depth, frame.intrinsics)
         return points[frame.depth > 0].astype(np.float64)
 
-    def write(self, names: Sequence[str], turns: Mapping[str, int], out: Path) -> dict[str, Array]:
-        """Put frames into ``out`` without their poses, some in quarter turns, and return the truth.
+    def write(self, names: Sequence[str], turns: Mapping[str, int], out: Path) -> None:
+        """Put frames into ``out`` without their poses, some of them in quarter turns.
 
         Frames left as they are keep the bytes of their files. Turned ones get an
         ``NAME.intrinsics.txt`` of their own.
         """
         shutil.copy(self.folder / "intrinsics.txt", out)
-        truth = {}
         for name in names:
-            turn = turns.get(name, 0)
-            truth[name] = self.truth[name] @ se3.inverse(turned_T_camera(turn))
-            if turn:
-                write_frame(turned(self.load(name), turn), out, name)
+            if turns.get(name, 0):
+                write_frame(turned(self.load(name), turns[name]), out, name)
             else:
                 shutil.copy(self._colour(name), out)
                 shutil.copy(self.folder / f"{name}.depth.png", out)
-        return truth
+
+    def turned_truth(self, names: Sequence[str], turns: Mapping[str, int]) -> dict[str, Array]:
+        """The true poses of the frames as `write` leaves them."""
+        return {
+            name: self.truth[name] @ se3.inverse(turned_T_camera(turns.get(name, 0)))
+            for name in names
+        }
 
     def _colour(self, name: str) -> Path:
         return next(p for end in COLOUR if (p := self.folder / f"{name}{end}").is_file())
