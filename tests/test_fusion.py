@@ -14,7 +14,7 @@ from fewview.config import FusionConfig
 from fewview.errors import FewviewError
 from fewview.fusion import data_voxel, fuse, trusted_depth
 from fewview.geometry import se3
-from fewview.geometry.camera import backproject
+from fewview.geometry.camera import backproject, project
 from fewview.ply import read_ply, write_ply
 from fewview.types import Array, ColouredMesh, FloatArray, Frame, Intrinsics
 
@@ -129,6 +129,15 @@ def test_nothing_is_grown_between_a_near_object_and_the_wall() -> None:
     assert np.abs(z - 1.2).min() < 0.005 and np.abs(z - 2.5).min() < 0.005
 
 
+def test_no_skirt_hangs_behind_a_silhouette_that_the_voxels_cannot_resolve() -> None:
+    fine = CAMERA.resized(640, 480)
+    depth = np.full((480, 640), 2.5, np.float32)
+    depth[160:320, 200:440] = 1.2
+    mesh = fuse([(Frame(np.zeros((480, 640, 3), np.uint8), depth, fine), HERE)], CONFIG)
+    z = mesh.vertices[mesh.faces].mean(axis=1)[:, 2]
+    assert np.all((np.abs(z - 1.2) < 0.03) | (np.abs(z - 2.5) < 0.03))
+
+
 def test_pixels_beside_depth_edges_are_not_trusted() -> None:
     depth = wall(2.5)
     depth[:, 80:] = 1.2
@@ -154,8 +163,8 @@ def test_a_small_floater_goes_and_a_large_piece_stays() -> None:
     depth[:, 80:] = 2.0
     depth[10:14, 10:14] = 2.0
     depth[40:80, 10:60] = 2.0
-    u = fuse([(frame_of(depth), HERE)], CONFIG).vertices @ [65.0, 0.0, 0.0] + CAMERA.cx
-    v = fuse([(frame_of(depth), HERE)], CONFIG).vertices @ [0.0, 65.0, 0.0] + CAMERA.cy
+    pixels, _ = project(fuse([(frame_of(depth), HERE)], CONFIG).vertices, CAMERA)
+    u, v = pixels.T
     assert not np.any((u < 20) & (v < 20))
     assert np.any((u < 60) & (v > 40))
 
