@@ -1,8 +1,8 @@
 """The other yaws of a box-shaped room: candidates from levelled scans with a Manhattan frame.
 
 Levelling leaves four yaws and a shift. For each yaw the shift is read off correlations of
-top-down rasters: walls that face the same way should meet, and walls should not stand where the
-other scan looked through.
+top-down rasters: upright faces that look the same way at the same height should meet, table tops
+should meet, and nothing should stand where the other scan looked through.
 """
 
 from __future__ import annotations
@@ -23,9 +23,14 @@ WALL_COS = 0.35
 FREE_BAND_M = (-0.7, 0.5)
 FREE_MARGIN_M = 0.3
 RAY_SAMPLES = 48
-CONTRADICTION_WEIGHT = 0.5
-PEAKS_PER_YAW = 2
-PEAK_RADIUS = 4
+WALL_BANDS_M = (0.9, 1.8)
+TOP_BANDS_M = (0.3, 0.62, 0.95, 1.5)
+DEFAULT_CAMERA_HEIGHT_M = 1.45
+BLUR_CELLS = 0.8
+CONTRADICTION_WEIGHT = 2.0
+PEAKS_PER_YAW = 3
+MAX_POSES = 6
+PEAK_RADIUS = 3
 HEIGHT_BIN_M = 0.05
 HEIGHT_RANGE_M = 3.0
 MAX_HEIGHT_SHIFT_M = 0.6
@@ -36,14 +41,11 @@ class TopDown:
     """Top-down rasters of one levelled scan, camera in the middle.
 
     Attributes:
-        walls: (4, S, S) float32, walls facing +x, +y, -x, -y.
-        free: (S, S) float32, 1 where the scan looked through at body height.
-        turned_spectra: (4, 5, P, P / 2 + 1) spectra of walls and free after each quarter turn.
+        turned_spectra: (4, C + 2, P, P / 2 + 1) spectra after each quarter turn of C channels of
+            faces, of all upright faces together, and of the space the scan looked through.
         heights: (2, H) histogram of the heights of upward and downward faces.
     """
 
-    walls: FloatArray
-    free: FloatArray
     turned_spectra: np.ndarray
     heights: FloatArray
 
@@ -52,10 +54,12 @@ def top_down(scan: CompletedScan) -> TopDown:
     """Rasterise a scan in its level frame."""
     level = scan.levelling.level_R_scan.T
     points, normals = scan.surface.points @ level, scan.surface.normals @ level
-    walls = _wall_raster(points, normals)
+    floor_z = scan.levelling.floor_z
+    heights = points[:, 2] - (-DEFAULT_CAMERA_HEIGHT_M if floor_z is None else floor_z)
+    walls, tops = _wall_raster(points, normals, heights), _top_raster(points, normals, heights)
     free = _free_raster(points)
-    free *= 1.0 - np.minimum(walls.sum(axis=0), 1.0)
-    return TopDown(walls, free, _turned_spectra(walls, free), _height_histogram(points, normals))
+    free *= 1.0 - np.minimum(walls.sum(axis=(0, 1)), 1.0)
+    return TopDown(_turned_spectra(walls, tops, free), _height_histogram(points, normals))
 
 
 def manhattan_poses(
@@ -76,7 +80,7 @@ def manhattan_poses(
             rotation = target_level.level_R_scan.T @ turn @ source_level.level_R_scan
             shift = target_level.level_R_scan.T @ np.array([x, y, height])
             poses.append((se3.pose(rotation, shift), score))
-    return sorted(poses, key=lambda pose: -pose[1])
+    return sorted(poses, key=lambda pose: -pose[1])[:MAX_POSES]
 
 
 def _cells(points: Array) -> tuple[np.ndarray, np.ndarray]:
@@ -85,13 +89,31 @@ def _cells(points: Array) -> tuple[np.ndarray, np.ndarray]:
     return cells, np.asarray(inside)
 
 
-def _wall_raster(points: Array, normals: Array) -> FloatArray:
-    walls = np.zeros((4, SIZE, SIZE), dtype=np.float32)
+def _wall_raster(points: Array, normals: Array, heights: Array) -> FloatArray:
+    """(4, bands, S, S) upright faces looking along +x, +y, -x, -y, by height band."""
+    walls = np.zeros((4, len(WALL_BANDS_M) + 1, SIZE, SIZE), dtype=np.float32)
     cells, inside = _cells(points)
     upright = inside & (np.abs(normals[:, 2]) < WALL_COS)
     facing = np.rint(np.arctan2(normals[:, 1], normals[:, 0]) / (np.pi / 2)).astype(int) % 4
-    np.add.at(walls, (facing[upright], cells[upright, 0], cells[upright, 1]), 1.0)
-    blurred = ndimage.gaussian_filter(np.sqrt(walls), (0, 0.8, 0.8), mode="constant")
+    band = np.digitize(heights, WALL_BANDS_M)
+    x, y = cells[upright].T
+    np.add.at(walls, (facing[upright], band[upright], x, y), 1.0)
+    return _blurred(walls)
+
+
+def _top_raster(points: Array, normals: Array, heights: Array) -> FloatArray:
+    """(bands, S, S) faces that look up: seats and tables, shelves and counters."""
+    tops = np.zeros((len(TOP_BANDS_M) - 1, SIZE, SIZE), dtype=np.float32)
+    cells, inside = _cells(points)
+    band = np.digitize(heights, TOP_BANDS_M) - 1
+    use = inside & (normals[:, 2] > 0.9) & (band >= 0) & (band < len(tops))
+    np.add.at(tops, (band[use], *cells[use].T), 1.0)
+    return _blurred(tops)
+
+
+def _blurred(counts: FloatArray) -> FloatArray:
+    sigma = (0.0,) * (counts.ndim - 2) + (BLUR_CELLS, BLUR_CELLS)
+    blurred = ndimage.gaussian_filter(np.sqrt(counts), sigma, mode="constant")
     return np.asarray(blurred, dtype=np.float32)
 
 
@@ -108,10 +130,11 @@ def _free_raster(points: Array) -> FloatArray:
     return (count > 2.0).astype(np.float32)
 
 
-def _turned_spectra(walls: FloatArray, free: FloatArray) -> np.ndarray:
+def _turned_spectra(walls: FloatArray, tops: FloatArray, free: FloatArray) -> np.ndarray:
     spectra = []
     for turns in range(4):
-        channels = np.concatenate([np.roll(walls, turns, axis=0), free[None]])
+        faces = np.roll(walls, turns, axis=0).reshape(-1, SIZE, SIZE)
+        channels = np.concatenate([faces, tops, walls.sum(axis=(0, 1))[None], free[None]])
         spectra.append(fft.rfft2(_turned(channels, turns), (PADDED, PADDED)))
     return np.stack(spectra)
 
@@ -129,8 +152,8 @@ def _turned(channels: FloatArray, turns: int) -> FloatArray:
 def _best_shifts(source: np.ndarray, target: np.ndarray) -> list[tuple[tuple[float, float], float]]:
     """Shifts in metres with the highest score, and their scores."""
     back = np.conj(source)
-    agreement = (back[:4] * target[:4]).sum(axis=0)
-    contradiction = back[:4].sum(axis=0) * target[4] + back[4] * target[:4].sum(axis=0)
+    agreement = np.einsum("cij,cij->ij", back[:-2], target[:-2])
+    contradiction = back[-2] * target[-1] + back[-1] * target[-2]
     score = fft.irfft2(agreement - CONTRADICTION_WEIGHT * contradiction, (PADDED, PADDED))
     found = []
     for _ in range(PEAKS_PER_YAW):
