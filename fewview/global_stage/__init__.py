@@ -1,0 +1,5 @@
+"""From the candidates of all pairs to one consistent set of poses (Sec. 4.4 of the paper)."""
+
+from fewview.global_stage.stage import solve
+
+__all__ = ["solve"]

@@ -1,0 +1,108 @@
+"""How probable it is that a scan stands right in its component.
+
+For every block of scans on one side of a weak link, its other places are weighed against the
+present one: w = sum exp(S_other - S_now), "in a frame of its own" included. The block stands right
+with probability 1 / (1 + w), and a scan stands right relative to another when every block that
+separates the two does:
+
+    P(i right relative to j) = product over blocks that hold one of i, j of 1 / (1 + w).
+
+Places in other components are no rivals: that the block belongs there too does not make it wrong
+here. The product is exact for chains and trees of links, so that a leaf behind a weak link carries that link's
+doubt. The core of a component is the scan relative to which most scans are expected to be right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from fewview.global_stage.blocks import pieces, tree_blocks
+from fewview.global_stage.model import Problem
+from fewview.global_stage.placement import State, gain_matrix, options
+from fewview.types import Array, BoolArray
+
+CEILING = 0.999
+"""No scan is reported surer than this: some errors are outside the model."""
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What is believed of a labelling.
+
+    Attributes:
+        probability: (n,) that each scan stands right relative to the core of its component; the
+            core carries that of the scan it shares most with; 0 for scans alone.
+        blocks: (k, n) blocks that could be wrong together, none of which holds a core.
+        doubt: (k,) log(1 + w) of each block.
+    """
+
+    probability: Array
+    blocks: BoolArray
+    doubt: Array
+
+
+def judge(problem: Problem, state: State) -> Belief:
+    """Estimate the probability of every scan's place."""
+    gains = gain_matrix(problem, state)
+    blocks = _suspects(gains, state)
+    doubt = np.array([_doubt(problem, state, gains, block) for block in blocks])
+    weighted = blocks.T * doubt
+    agree = np.exp(-(weighted @ ~blocks + (weighted @ ~blocks).T))
+    probability = np.zeros(problem.scans)
+    for label in np.unique(state.component):
+        members = np.flatnonzero(state.component == label)
+        if len(members) > 1:
+            inside = agree[np.ix_(members, members)]
+            core = int(np.argmax(inside.sum(axis=1)))
+            probability[members] = inside[core]
+            probability[members[core]] = np.max(np.delete(inside[core], core))
+            turned = blocks[:, members[core]]
+            blocks[turned] = (state.component == label) & ~blocks[turned]
+    return Belief(np.minimum(probability, CEILING), blocks, doubt)
+
+
+def drop_doubtful(problem: Problem, state: State, min_probability: float) -> Belief:
+    """Cut blocks off, in place, until every scan of a component is probable enough.
+
+    A block that is cut off keeps its own frame: it may be a component of its own.
+    """
+    belief = judge(problem, state)
+    while np.any(low := (belief.probability < min_probability) & (belief.probability > 0.0)):
+        within = ~np.any(belief.blocks & ~low, axis=1)
+        order = np.lexsort((belief.doubt, belief.blocks.sum(axis=1), within))
+        state.detach(belief.blocks[order[-1]])
+        _, state.component[:] = pieces(gain_matrix(problem, state))
+        belief = judge(problem, state)
+    return belief
+
+
+def _suspects(gains: Array, state: State) -> BoolArray:
+    """Single scans and the sides of the spanning forest's links, of components above one scan."""
+    rows = np.concatenate([np.eye(len(gains), dtype=bool), tree_blocks(gains)])
+    size = np.bincount(state.component, minlength=len(gains) + 1)[state.component]
+    return np.unique(rows[~np.any(rows & (size == 1), axis=1)], axis=0)
+
+
+def _doubt(problem: Problem, state: State, gains: Array, block: BoolArray) -> float:
+    """log(1 + w) of the module's formula."""
+    choice = options(problem, state, block)
+    home = state.component[block][0]
+    rest = (state.component == home) & ~block
+    accept = problem.join_cost - problem.prior_cost
+    apart = _log_dissolved(problem, gains, block) + _log_dissolved(problem, gains, rest)
+    rival = (choice.component == home) & ~choice.same
+    elsewhere = choice.score[rival] - np.log(choice.copies[rival])
+    others = logsumexp(np.append(elsewhere, apart - accept))
+    return float(np.logaddexp(0.0, others - choice.stay))
+
+
+def _log_dissolved(problem: Problem, gains: Array, part: BoolArray) -> float:
+    """Log weight of ``part`` in every state of its own links, relative to its present one."""
+    inside = gains[np.ix_(part, part)]
+    blocks = tree_blocks(inside).astype(np.float64)
+    cuts = ((blocks @ inside) * (1.0 - blocks)).sum(axis=1)
+    loose = (pieces(inside)[0] - 1) * problem.prior_cost
+    return float(loose + np.logaddexp(0.0, problem.prior_cost - cuts).sum())

@@ -1,0 +1,111 @@
+"""Search for the best labelling: seeded spanning trees, then local moves of scans and blocks.
+
+Each start grows a maximum spanning tree over the candidates, its keys perturbed by Gumbel noise
+in all starts but the first, so that trees are drawn by their candidates' odds. Then scans, and the
+blocks of scans on either side of a weak link, are moved to the best place that any candidate
+proposes, or set apart, until nothing improves the objective of `model`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from fewview.geometry import se3
+from fewview.global_stage.blocks import pieces, tree_blocks
+from fewview.global_stage.model import Problem
+from fewview.global_stage.placement import State, gain_matrix, objective, options
+from fewview.types import Array, BoolArray
+
+POLISHED = 4
+"""Starts, best after one pass over the scans, that are searched to the end."""
+
+TOLERANCE = 1e-9
+"""Smallest improvement of the objective that counts."""
+
+
+def search(problem: Problem, restarts: int, seed: int) -> State:
+    """The best labelling found.
+
+    Args:
+        problem: the candidates.
+        restarts: number of spanning trees to start from.
+        seed: of the perturbed trees and of the order of moves.
+    """
+    rng = np.random.default_rng(seed)
+    found: list[tuple[float, State]] = []
+    for start in range(max(restarts, 1)):
+        noise = rng.gumbel(size=len(problem.source)) if start else np.zeros(len(problem.source))
+        state = spanning_tree(problem, np.log(problem.evidence) + noise)
+        for scan in rng.permutation(problem.scans):
+            _improve(problem, state, np.arange(problem.scans) == scan)
+        found.append((objective(problem, state), state))
+    found.sort(key=lambda item: -item[0])
+    polished = [_polish(problem, state) for _, state in found[:POLISHED]]
+    return max(polished, key=lambda state: objective(problem, state))
+
+
+def spanning_tree(problem: Problem, key: Array) -> State:
+    """Chain candidates into poses, highest ``key`` first, as Kruskal's algorithm does."""
+    state = State.apart(problem.scans)
+    for c in np.argsort(-key, kind="stable"):
+        s, t = problem.source[c], problem.target[c]
+        joined, other = state.component[t], state.component[s]
+        if joined != other:
+            block = state.component == other
+            motion = state.pose[t] @ problem.motion[c] @ se3.inverse(state.pose[s])
+            state.move(block, motion, int(joined))
+    return state
+
+
+def _polish(problem: Problem, state: State) -> State:
+    """Move blocks and scans in turn until neither improves."""
+    improved = True
+    while improved:
+        _separate(problem, state)
+        moved = [_improve(problem, state, block) for block in _blocks(problem, state)]
+        improved = _settle_scans(problem, state) or any(moved)
+    return state
+
+
+def _settle_scans(problem: Problem, state: State) -> bool:
+    """Re-place single scans until none improves; only neighbours of a moved scan look again."""
+    linked = np.zeros((problem.scans, problem.scans), dtype=bool)
+    linked[problem.source, problem.target] = linked[problem.target, problem.source] = True
+    waiting, moved = deque(range(problem.scans)), False
+    while waiting:
+        scan = waiting.popleft()
+        if _improve(problem, state, np.arange(problem.scans) == scan):
+            moved = True
+            waiting += [j for j in np.flatnonzero(linked[scan]).tolist() if j not in waiting]
+    return moved
+
+
+def _blocks(problem: Problem, state: State) -> BoolArray:
+    """Sides of weak links and whole components, larger than one scan."""
+    whole = state.component == np.unique(state.component)[:, None]
+    rows = np.concatenate([tree_blocks(gain_matrix(problem, state)), whole])
+    return np.asarray(rows[rows.sum(axis=1) > 1])
+
+
+def _separate(problem: Problem, state: State) -> None:
+    """Give parts that no agreeing candidate links frames of their own: that saves join costs."""
+    _, label = pieces(gain_matrix(problem, state))
+    state.component[:] = label
+
+
+def _improve(problem: Problem, state: State, block: BoolArray) -> bool:
+    """Move a block to its best place, or apart, if that improves; blocks torn since are left."""
+    if len(np.unique(state.component[block])) != 1:
+        return False
+    choice = options(problem, state, block)
+    best = int(np.argmax(choice.score)) if len(choice.score) else -1
+    gain = choice.score[best] if best >= 0 else -np.inf
+    if max(gain, 0.0) <= choice.stay + TOLERANCE:
+        return False
+    if gain > 0.0:
+        state.move(block, choice.motion[best], int(choice.component[best]))
+    else:
+        state.detach(block)
+    return True

@@ -1,0 +1,127 @@
+"""All pairs to one answer: discrete choice, pose graph and world frame per component."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fewview.config import GlobalConfig
+from fewview.global_stage import discrete, reasons
+from fewview.global_stage.belief import drop_doubtful
+from fewview.global_stage.model import Problem, build
+from fewview.global_stage.placement import State, agreement_now
+from fewview.global_stage.pose_graph import Edge, optimise
+from fewview.global_stage.world import find_world
+from fewview.types import (
+    Array,
+    Component,
+    EdgeReport,
+    GlobalSolution,
+    Levelling,
+    PairResult,
+    ScanPlacement,
+)
+
+
+def solve(
+    names: Sequence[str],
+    levellings: Sequence[Levelling],
+    pairs: Sequence[PairResult],
+    config: GlobalConfig,
+    seed: int,
+) -> GlobalSolution:
+    """Choose at most one candidate per pair and pose every scan that can be trusted.
+
+    Args:
+        names: of the scans.
+        levellings: one per scan.
+        pairs: results of any pairs of scans, each at most once.
+        config: settings of the stage.
+        seed: of the discrete search.
+
+    Returns:
+        Components of two scans or more, largest first, each in its own world frame; scans that no
+        component holds are unplaced, with the reason.
+    """
+    problem = build(len(names), pairs, config)
+    state = discrete.search(problem, config.restarts, seed)
+    belief = drop_doubtful(problem, state, config.min_probability)
+    groups = _groups(state)
+    parts = [_place(problem, state, pairs, levellings, group) for group in groups]
+    placements = [
+        ScanPlacement(
+            name, None, None, 0.0, reasons.why_unplaced(names, pairs, i, config.min_probability)
+        )
+        for i, name in enumerate(names)
+    ]
+    for index, part in enumerate(parts):
+        for scan, pose in part.world_T_scan.items():
+            probability = float(belief.probability[scan])
+            placements[scan] = ScanPlacement(names[scan], index, pose, probability, None)
+    return GlobalSolution(
+        placements=tuple(placements),
+        components=tuple(
+            Component(group, part.world, reasons.nearest_link(names, pairs, group))
+            for group, part in zip(groups, parts, strict=True)
+        ),
+        selected={(e.source, e.target): e.rank for part in parts for e in part.edges},
+        initial_world_T_scan={i: pose for part in parts for i, pose in part.initial.items()},
+        edges=tuple(edge for part in parts for edge in part.edges),
+    )
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A component in its world frame; poses by scan index, before and after the pose graph."""
+
+    world_T_scan: Mapping[int, Array]
+    initial: Mapping[int, Array]
+    edges: tuple[EdgeReport, ...]
+    world: str
+
+
+def _groups(state: State) -> list[tuple[int, ...]]:
+    """Scans of every component of two or more, largest first, ties by the smallest index."""
+    members = [np.flatnonzero(state.component == label) for label in np.unique(state.component)]
+    groups = [tuple(int(i) for i in group) for group in members if len(group) > 1]
+    return sorted(groups, key=lambda group: (-len(group), group[0]))
+
+
+def _place(
+    problem: Problem,
+    state: State,
+    pairs: Sequence[PairResult],
+    levellings: Sequence[Levelling],
+    group: Sequence[int],
+) -> _Part:
+    """Optimise and level one component."""
+    initial = {scan: state.pose[scan] for scan in group}
+    result = optimise(initial, _selected(problem, state, pairs, group))
+    world = find_world(result.pose, levellings)
+    return _Part(
+        world_T_scan={scan: world.world_T_frame @ result.pose[scan] for scan in group},
+        initial={scan: world.world_T_frame @ initial[scan] for scan in group},
+        edges=result.edges,
+        world=world.kind,
+    )
+
+
+def _selected(
+    problem: Problem, state: State, pairs: Sequence[PairResult], group: Sequence[int]
+) -> list[Edge]:
+    """The candidate of each pair of the group that says most for the state, if any agrees."""
+    worth = agreement_now(problem, state) * problem.evidence
+    worth *= np.isin(problem.source, group)
+    best: dict[int, int] = {}
+    for c in np.flatnonzero(worth > 0.0):
+        pair = int(problem.pair[c])
+        if pair not in best or worth[c] > worth[best[pair]]:
+            best[pair] = int(c)
+    return [_edge(pairs[pair], int(problem.rank[c])) for pair, c in sorted(best.items())]
+
+
+def _edge(pair: PairResult, rank: int) -> Edge:
+    candidate = next(c for c in pair.candidates if c.rank == rank)
+    return Edge(pair.source, pair.target, candidate)
