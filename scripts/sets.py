@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fewview.evaluation.overlap import overlap_matrix, thin
+from fewview.evaluation.overlap import overlap_matrix
 from fewview.types import Array
 from scenes import Scene
 
@@ -65,7 +65,7 @@ def overlaps(scene: Scene, cache: Path) -> Array:
         stored = np.load(path)
         if stored["names"].tolist() == list(scene.names):
             return np.asarray(stored["overlap"])
-    clouds = [thin(scene.cloud(name)) for name in scene.names]
+    clouds = (scene.cloud(name) for name in scene.names)
     matrix = overlap_matrix(clouds, np.stack([scene.truth[name] for name in scene.names]))
     path.parent.mkdir(parents=True, exist_ok=True)
     np.savez(path, names=np.array(scene.names), overlap=matrix)

@@ -166,9 +166,19 @@ def test_a_half_shared_wall_overlaps_by_half() -> None:
     wall = np.stack([np.zeros(y.size), y.ravel(), z.ravel()], axis=-1)
     shift = se3.pose(np.eye(3), np.array([0.0, 1.0, 0.0]))
     assert overlap(wall, wall, shift) == pytest.approx(0.52, abs=0.03)
-    matrix = overlap_matrix([wall, wall], np.stack([np.eye(4), shift]))
-    assert matrix[0, 1] == matrix[1, 0] == overlap(wall, wall, shift)
     assert overlap(wall, np.empty((0, 3)), shift) == 0.0
+
+
+def test_the_fast_overlap_is_close_to_the_exact_one() -> None:
+    rng = np.random.default_rng(0)
+    near, far = rng.uniform(0, 1, size=(60_000, 3)), rng.uniform(0, 1, size=(20_000, 3))
+    near[:, 2] = far[:, 2] = 0.0
+    near[:, 0] *= 0.4
+    poses = np.stack([np.eye(4), se3.pose(np.eye(3), np.array([0.2, 0.3, 0.0]))])
+    exact = overlap(near, far, relative(poses[0], poses[1]))
+    matrix = overlap_matrix([near, far], poses)
+    assert matrix[0, 1] == matrix[1, 0] == pytest.approx(exact, abs=0.02)
+    assert exact == pytest.approx(0.25 * 0.75, abs=0.02)  # of the 20,000, not of the smaller area
 
 
 def test_overlap_classes_have_exclusive_upper_bounds() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from scipy.spatial import KDTree
 
@@ -10,9 +12,10 @@ from fewview.types import Array
 
 NEIGHBOUR_M = 0.05
 """A point is shared when the other scan has one within this distance."""
-THIN_M = 0.03
-"""Voxel to which scans are thinned before counting: small against `NEIGHBOUR_M`, and it makes
-the share one of surface area instead of pixels."""
+THIN_M = 0.01
+"""Voxel to which a scan is thinned before others look for neighbours in it."""
+SAMPLES = 5000
+"""Points of a scan, evenly spread over its pixels, that stand for all: at most 0.7 % deviation."""
 CLASSES = (
     (0.01, "< 1 %"),
     (0.1, "1-10 %"),
@@ -23,7 +26,7 @@ CLASSES = (
 """Upper bounds (exclusive) and names of the overlap classes."""
 
 
-def thin(points: Array, voxel_m: float = THIN_M) -> Array:
+def thin(points: Array, voxel_m: float) -> Array:
     """(n, 3) points to the (m, 3) centroids of the occupied voxels, in a fixed order."""
     if not len(points):
         return points.reshape(0, 3)
@@ -62,20 +65,27 @@ def shared(points: Array, tree: KDTree, distance_m: float = NEIGHBOUR_M) -> floa
     return float(np.isfinite(distance).sum() / len(points))
 
 
-def overlap_matrix(clouds: list[Array], world_T_scan: Array) -> Array:
+def overlap_matrix(clouds: Iterable[Array], world_T_scan: Array) -> Array:
     """Symmetric (n, n) overlaps of scans under ground truth, ones on the diagonal.
 
+    As `overlap`, but fast: `SAMPLES` points of the scan with fewer points look for a neighbour
+    in the other one thinned to `THIN_M`.
+
     Args:
-        clouds: (m_i, 3) thinned points of each scan in its own frame, metres.
+        clouds: (m_i, 3) points of each scan in its own frame, metres; taken one at a time.
         world_T_scan: (n, 4, 4) true poses.
     """
-    world = [se3.transform(pose, cloud) for pose, cloud in zip(world_T_scan, clouds, strict=True)]
-    trees = [KDTree(points) for points in world]
-    matrix = np.eye(len(world))
-    for i in range(len(world)):
-        for j in range(i + 1, len(world)):
-            fewer, more = (i, j) if len(world[i]) <= len(world[j]) else (j, i)
-            matrix[i, j] = matrix[j, i] = shared(world[fewer], trees[more])
+    counts, samples, trees = [], [], []
+    for pose, cloud in zip(world_T_scan, clouds, strict=True):
+        world = se3.transform(pose, cloud)
+        counts.append(len(world))
+        samples.append(world[:: max(1, len(world) // SAMPLES)])
+        trees.append(KDTree(thin(world, THIN_M)))
+    matrix = np.eye(len(trees))
+    for i in range(len(trees)):
+        for j in range(i + 1, len(trees)):
+            fewer, more = (i, j) if counts[i] <= counts[j] else (j, i)
+            matrix[i, j] = matrix[j, i] = shared(samples[fewer], trees[more])
     return matrix
 
 
