@@ -12,6 +12,8 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -124,8 +126,7 @@ def score(task: Task, prediction: Json, cache: Path) -> Json:
     measured = prediction["measured"]
     failed = report is None
     if failed:
-        scans = [{"name": n, "placed": False, "component": None} for n in task.chosen.names]
-        report = {"scans": scans, "pairs": []}
+        report = _nothing(task.chosen.names)
     scores = evaluate_report(
         report,
         task.scene.turned_truth(task.chosen.names, task.turns),
@@ -143,6 +144,15 @@ def score(task: Task, prediction: Json, cache: Path) -> Json:
         else {key: measured[key] for key in ("wall_s", "cpu_s", "peak_mb")},
         "timings_s": report.get("timings_s"),
         "scores": scores,
+    }
+
+
+def _nothing(names: Sequence[str]) -> Json:
+    """The report of a method that found no pose at all."""
+    unknown: Json = {"selected": None, "candidates": []}
+    return {
+        "scans": [{"name": name, "placed": False, "component": None} for name in names],
+        "pairs": [{"source": a, "target": b, **unknown} for a, b in combinations(names, 2)],
     }
 
 
