@@ -8,8 +8,11 @@ separates the two does:
     P(i right relative to j) = product over blocks that hold one of i, j of 1 / (1 + w).
 
 Places in other components are no rivals: that the block belongs there too does not make it wrong
-here. The product is exact for chains and trees of links, so that a leaf behind a weak link carries that link's
-doubt. The core of a component is the scan relative to which most scans are expected to be right.
+here. A block
+that comes loose may also fall apart, which is what it leaves to chance in loops of weak links (the
+terms of `_log_dissolved`: what both parts gain by it over what the whole does). The product is
+exact for trees of links: a leaf carries the doubt of every link on its way to
+the core. The core of a component is the scan relative to which most scans are expected to be right.
 """
 
 from __future__ import annotations
@@ -80,10 +83,19 @@ def drop_doubtful(problem: Problem, state: State, min_probability: float) -> Bel
 
 
 def _suspects(gains: Array, state: State) -> BoolArray:
-    """Single scans and the sides of the spanning forest's links, of components above one scan."""
-    rows = np.concatenate([np.eye(len(gains), dtype=bool), tree_blocks(gains)])
-    size = np.bincount(state.component, minlength=len(gains) + 1)[state.component]
-    return np.unique(rows[~np.any(rows & (size == 1), axis=1)], axis=0)
+    """Sides of the spanning forest's links, and single scans that no other scan hangs on.
+
+    Each split of a component comes once, as the side without its first scan.
+    """
+    rows = list(tree_blocks(gains))
+    for label in np.unique(state.component):
+        members = np.flatnonzero(state.component == label)
+        for scan in members if len(members) > 1 else []:
+            others = members[members != scan]
+            if pieces(gains[np.ix_(others, others)])[0] == 1:
+                side = others if scan == members[0] else [scan]
+                rows.append(np.isin(np.arange(len(gains)), side))
+    return np.unique(np.reshape(rows, (-1, len(gains))).astype(bool), axis=0)
 
 
 def _doubt(problem: Problem, state: State, gains: Array, block: BoolArray) -> float:
@@ -92,7 +104,12 @@ def _doubt(problem: Problem, state: State, gains: Array, block: BoolArray) -> fl
     home = state.component[block][0]
     rest = (state.component == home) & ~block
     accept = problem.join_cost - problem.prior_cost
-    apart = _log_dissolved(problem, gains, block) + _log_dissolved(problem, gains, rest)
+    apart = (
+        _log_dissolved(problem, gains, block)
+        + _log_dissolved(problem, gains, rest)
+        - _log_dissolved(problem, gains, block | rest)
+        + np.logaddexp(0.0, problem.prior_cost - gains[np.ix_(block, rest)].sum())
+    )
     rival = (choice.component == home) & ~choice.same
     elsewhere = choice.score[rival] - np.log(choice.copies[rival])
     others = logsumexp(np.append(elsewhere, apart - accept))
@@ -100,9 +117,8 @@ def _doubt(problem: Problem, state: State, gains: Array, block: BoolArray) -> fl
 
 
 def _log_dissolved(problem: Problem, gains: Array, part: BoolArray) -> float:
-    """Log weight of ``part`` in every state of its own links, relative to its present one."""
+    """Log weight of a connected ``part`` in every state of its links, relative to its present."""
     inside = gains[np.ix_(part, part)]
     blocks = tree_blocks(inside).astype(np.float64)
     cuts = ((blocks @ inside) * (1.0 - blocks)).sum(axis=1)
-    loose = (pieces(inside)[0] - 1) * problem.prior_cost
-    return float(loose + np.logaddexp(0.0, problem.prior_cost - cuts).sum())
+    return float(np.logaddexp(0.0, problem.prior_cost - cuts).sum())

@@ -1,0 +1,201 @@
+"""The discrete stage: its objective, its search against brute force, its probabilities."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from planted_graphs import Noise, candidate, pair_result, planted_graph, room_poses
+
+from fewview.config import GlobalConfig
+from fewview.geometry import se3
+from fewview.global_stage import discrete
+from fewview.global_stage.belief import drop_doubtful, judge
+from fewview.global_stage.model import Problem, build
+from fewview.global_stage.placement import State, agreement_now, gain_matrix, objective, options
+from fewview.types import Array, PairResult
+
+CONFIG = GlobalConfig()
+
+
+def best_by_enumeration(problem: Problem) -> float:
+    """The highest objective over all spanning forests of candidates, at most one a pair."""
+    choices = [
+        [-1, *np.flatnonzero(problem.pair == pair).tolist()] for pair in np.unique(problem.pair)
+    ]
+    forests = (
+        [c for c in combination if c >= 0]
+        for combination in itertools.product(*choices)
+        if sum(c >= 0 for c in combination) < problem.scans
+    )
+    return max(objective(problem, chained(problem, forest)) for forest in forests)
+
+
+def chained(problem: Problem, forest: list[int]) -> State:
+    state = State.apart(problem.scans)
+    for c in forest:
+        s, t = problem.source[c], problem.target[c]
+        block = state.component == state.component[s]
+        motion = state.pose[t] @ problem.motion[c] @ se3.inverse(state.pose[s])
+        if state.component[s] != state.component[t]:
+            state.move(block, motion, int(state.component[t]))
+    return state
+
+
+def linked(poses: Array, links: dict[tuple[int, int], float]) -> list[PairResult]:
+    """Exact candidates of given probabilities."""
+    return [
+        pair_result(s, t, [candidate(0, se3.inverse(poses[t]) @ poses[s], p)])
+        for (s, t), p in links.items()
+    ]
+
+
+def believed(links: dict[tuple[int, int], float], scans: int, config: GlobalConfig) -> Array:
+    poses = room_poses(np.random.default_rng(5), scans)
+    problem = build(scans, linked(poses, links), config)
+    state = discrete.search(problem, config.restarts, 0)
+    return judge(problem, state).probability
+
+
+@pytest.mark.parametrize("seed", range(16))
+def test_search_reaches_the_best_of_all_forests(seed: int) -> None:
+    noise = Noise(6.0, 0.2) if seed % 2 else Noise()
+    _, pairs = planted_graph(seed, 4, 2, link_rate=0.9, noise=noise)
+    problem = build(4, pairs, CONFIG)
+    found = discrete.search(problem, CONFIG.restarts, seed)
+    assert objective(problem, found) >= best_by_enumeration(problem) - 1e-6
+
+
+def test_joining_by_one_candidate_scores_its_posterior_odds() -> None:
+    poses = room_poses(np.random.default_rng(0), 2)
+    problem = build(2, linked(poses, {(0, 1): 0.8}), CONFIG)
+    score = objective(problem, chained(problem, [0]))
+    assert score == pytest.approx(np.log(0.8 / 0.2 + CONFIG.chance_agreement), abs=1e-9)
+
+
+def test_the_acceptance_threshold_moves_the_odds() -> None:
+    poses = room_poses(np.random.default_rng(0), 2)
+    strict = GlobalConfig(min_probability=0.9)
+    problem = build(2, linked(poses, {(0, 1): 0.8}), strict)
+    state = discrete.search(problem, 4, 0)
+    assert len(np.unique(state.component)) == 2
+
+
+def test_certain_pairs_are_bounded() -> None:
+    poses = room_poses(np.random.default_rng(0), 2)
+    problem = build(2, linked(poses, {(0, 1): 1.0}), CONFIG)
+    assert problem.probability[0] == pytest.approx(0.99)
+    assert np.isfinite(problem.evidence).all()
+
+
+def test_agreement_does_not_depend_on_direction() -> None:
+    poses, pairs = planted_graph(2, 6, 3)
+    turned = [
+        pair_result(
+            p.target,
+            p.source,
+            [
+                candidate(c.rank, se3.inverse(c.target_T_source), c.probability)
+                for c in p.candidates
+            ],
+        )
+        for p in pairs
+    ]
+    state = State(poses, np.zeros(6, dtype=np.int64))
+    one, other = build(6, pairs, CONFIG), build(6, turned, CONFIG)
+    np.testing.assert_allclose(agreement_now(one, state), agreement_now(other, state), atol=1e-9)
+    assert agreement_now(one, state).max() > 0.5
+
+
+def test_options_score_what_the_objective_gains() -> None:
+    _, pairs = planted_graph(7, 6, 3, link_rate=0.9)
+    problem = build(6, pairs, CONFIG)
+    state = discrete.spanning_tree(problem, np.log(problem.evidence))
+    block = np.arange(6) == 2
+    choice = options(problem, state, block)
+    apart = state.copy()
+    apart.detach(block)
+    assert choice.stay == pytest.approx(objective(problem, state) - objective(problem, apart))
+    for k in range(len(choice.score)):
+        moved = state.copy()
+        moved.move(block, choice.motion[k], int(choice.component[k]))
+        gained = objective(problem, moved) - objective(problem, apart)
+        assert choice.score[k] == pytest.approx(gained, abs=1e-6)
+
+
+def test_a_single_link_gives_its_own_probability() -> None:
+    np.testing.assert_allclose(believed({(0, 1): 0.7}, 2, CONFIG), 0.7, atol=0.01)
+
+
+def test_doubt_adds_up_along_a_chain() -> None:
+    chain = {(0, 1): 0.9, (1, 2): 0.95, (2, 3): 0.8}
+    probability = believed(chain, 4, CONFIG)
+    core = 1
+    assert probability[core] == pytest.approx(0.95, abs=0.01)
+    assert probability[0] == pytest.approx(0.9, abs=0.01)
+    assert probability[3] == pytest.approx(0.95 * 0.8, abs=0.01)
+
+
+def test_a_leaf_behind_a_weak_link_carries_its_doubt() -> None:
+    core = dict.fromkeys(itertools.combinations(range(4), 2), 0.95)
+    tail = {(3, 4): 0.6, (4, 5): 0.98}
+    probability = believed({**core, **tail}, 6, CONFIG)
+    assert probability[:4].min() > 0.99
+    assert probability[4] == pytest.approx(0.6, abs=0.02)
+    assert probability[5] < 0.6
+
+
+def test_loops_of_weak_links_are_believed() -> None:
+    weak = dict.fromkeys(itertools.combinations(range(4), 2), 0.35)
+    assert believed(weak, 4, CONFIG).min() > 0.9
+    assert not believed({(0, 1): 0.35, (1, 2): 0.35, (2, 3): 0.35}, 4, CONFIG).any()
+
+
+def test_doubtful_parts_keep_a_component_of_their_own() -> None:
+    poses = room_poses(np.random.default_rng(1), 6)
+    links = {(0, 1): 0.9, (1, 2): 0.9, (0, 2): 0.9, (3, 4): 0.9, (4, 5): 0.9, (3, 5): 0.9}
+    problem = build(6, linked(poses, {**links, (2, 3): 0.6}), CONFIG)
+    state = discrete.search(problem, 8, 0)
+    assert len(np.unique(state.component)) == 1
+    belief = drop_doubtful(problem, state, 0.8)
+    assert len(np.unique(state.component)) == 2
+    assert state.component[0] != state.component[3]
+    assert belief.probability.min() > 0.8
+
+
+def test_probabilities_hold_on_planted_graphs() -> None:
+    config = GlobalConfig(chance_agreement=1e-3)
+    claimed, right = [], []
+    for seed in range(25):
+        poses, pairs = planted_graph(seed, 7, 3, link_rate=0.5, strength=(0.2, 0.9))
+        problem = build(7, pairs, config)
+        state = discrete.search(problem, 4, seed)
+        belief = drop_doubtful(problem, state, 0.5)
+        for label in np.unique(state.component):
+            members = np.flatnonzero(state.component == label)
+            if len(members) > 1:
+                claimed += belief.probability[members].tolist()
+                right += largest_true_part(poses[members], state.pose[members]).tolist()
+    assert len(claimed) > 50
+    assert abs(np.mean(claimed) - np.mean(right)) < 0.1
+
+
+def largest_true_part(truth: Array, found: Array) -> Array:
+    """Which scans are right together; none when no two are."""
+    gauges = truth @ se3.inverse(found)
+    angle, shift = se3.distance(gauges[:, None] @ found[None], truth[None])
+    right = (angle < np.radians(15.0)) & (shift < 0.3)
+    best = right[int(np.argmax(right.sum(axis=1)))]
+    return best if best.sum() > 1 else np.zeros(len(truth), dtype=bool)
+
+
+def test_long_chains_of_moves_stay_rigid() -> None:
+    poses, pairs = planted_graph(4, 12, 5, link_rate=0.3)
+    problem = build(12, pairs, CONFIG)
+    state = discrete.search(problem, 8, 0)
+    turn = state.pose[:, :3, :3]
+    np.testing.assert_allclose(
+        turn @ np.swapaxes(turn, 1, 2), np.tile(np.eye(3), (12, 1, 1)), atol=1e-9
+    )
+    assert np.isfinite(gain_matrix(problem, state)).all()
