@@ -91,6 +91,11 @@ class GlobalConfig:
     restarts: int = 16
     """Seeded spanning trees from which the search starts."""
 
+    def __post_init__(self) -> None:
+        for name in ("chance_agreement", "min_probability"):
+            if not 0.0 < getattr(self, name) < 1.0:
+                raise ConfigError(f"global_stage.{name} must be above 0 and below 1")
+
 
 @dataclass(frozen=True)
 class FusionConfig:

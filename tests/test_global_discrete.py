@@ -9,6 +9,7 @@ import pytest
 from planted_graphs import Noise, candidate, pair_result, planted_graph, room_poses
 
 from fewview.config import GlobalConfig
+from fewview.errors import ConfigError
 from fewview.geometry import se3
 from fewview.global_stage import discrete
 from fewview.global_stage.belief import drop_doubtful, judge
@@ -80,6 +81,12 @@ def test_the_acceptance_threshold_moves_the_odds() -> None:
     problem = build(2, linked(poses, {(0, 1): 0.8}), strict)
     state = discrete.search(problem, 4, 0)
     assert len(np.unique(state.component)) == 2
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, float("nan")])
+def test_probabilities_in_the_settings_are_open_intervals(value: float) -> None:
+    with pytest.raises(ConfigError, match="min_probability"):
+        GlobalConfig(min_probability=value)
 
 
 def test_certain_pairs_are_bounded() -> None:
