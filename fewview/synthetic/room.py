@@ -1,0 +1,132 @@
+"""A furnished room: its surfaces as one ray-castable, textured, z-up world with the floor at 0."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import open3d as o3d
+
+from fewview.synthetic import atlas, furnish, plan
+from fewview.synthetic.furnish import Standing
+from fewview.synthetic.items import Patches
+from fewview.synthetic.plan import Plan
+from fewview.synthetic.surfaces import lathed
+from fewview.synthetic.textures import Image, Rng, plain
+from fewview.types import Array, ColouredMesh, FloatArray, IntArray
+
+_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """A room of quadrilaterals with their textures.
+
+    Attributes:
+        plan: the shell.
+        standing: the furniture on the floor.
+        lamps: (k, 3) lights under the ceiling.
+        corners: (n, 4, 3) of all quadrilaterals, metres.
+        uv: (n, 4, 2) float32 texture pixels at the corners.
+        texture: (n,) index of each quadrilateral's texture.
+        texel_m: (n,) float32 metres a texture pixel covers on the quadrilateral.
+        atlas: the textures.
+    """
+
+    plan: Plan
+    standing: tuple[Standing, ...]
+    lamps: Array
+    corners: Array
+    uv: FloatArray
+    texture: IntArray
+    texel_m: FloatArray
+    atlas: atlas.Atlas
+
+    @cached_property
+    def scene(self) -> o3d.t.geometry.RaycastingScene:
+        """Two triangles per quadrilateral, number 2 q and 2 q + 1, single-threaded."""
+        scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        faces = (4 * np.arange(len(self.corners))[:, None, None] + _TRIANGLES).reshape(-1, 3)
+        vertices = self.corners.reshape(-1, 3).astype(np.float32)
+        scene.add_triangles(o3d.core.Tensor(vertices), o3d.core.Tensor(faces.astype(np.uint32)))
+        return scene
+
+    def mesh(self, spacing_m: float = 0.05) -> ColouredMesh:
+        """The surfaces as a mesh with a vertex at least every ``spacing_m``, for ground truth."""
+        edges = np.linalg.norm(np.roll(self.corners, -1, axis=1) - self.corners, axis=-1)
+        columns = np.ceil(edges[:, [0, 2]].max(axis=1) / spacing_m).astype(int).clip(1)
+        rows = np.ceil(edges[:, [1, 3]].max(axis=1) / spacing_m).astype(int).clip(1)
+        vertices, faces, colours, first = [], [], [], 0
+        for shape in sorted(set(zip(rows.tolist(), columns.tolist(), strict=True))):
+            quads = np.flatnonzero((rows == shape[0]) & (columns == shape[1]))
+            weights, grid = _grid(*shape)
+            vertices.append((weights @ self.corners[quads]).reshape(-1, 3))
+            starts = first + len(weights) * np.arange(len(quads))
+            faces.append((starts[:, None, None] + grid).reshape(-1, 3))
+            colours.append(self._colours(quads, weights, spacing_m))
+            first += len(vertices[-1])
+        return ColouredMesh(
+            np.concatenate(vertices), np.concatenate(faces), np.concatenate(colours)
+        )
+
+    def _colours(self, quads: IntArray, weights: Array, spacing_m: float) -> Image:
+        uv = (weights @ self.uv[quads]).reshape(-1, 2).astype(np.float32)
+        number = np.repeat(quads, len(weights))
+        footprint = np.float32(0.5 * spacing_m) / self.texel_m[number]
+        return self.atlas.lookup(self.texture[number], uv, footprint)
+
+
+def _grid(rows: int, columns: int) -> tuple[Array, IntArray]:
+    """Bilinear weights (n, 4) of a grid on a quadrilateral, and its triangles (m, 3)."""
+    v, u = np.meshgrid(np.linspace(0, 1, rows + 1), np.linspace(0, 1, columns + 1), indexing="ij")
+    weights = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=-1)
+    number = np.arange((rows + 1) * (columns + 1)).reshape(rows + 1, columns + 1)
+    cell = np.stack([number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], axis=-1)
+    return weights.reshape(-1, 4), cell.reshape(-1, 4)[:, _TRIANGLES].reshape(-1, 3)
+
+
+def make_room(seed: int) -> Room:
+    """The room of a seed: another plan, furniture and decoration for each."""
+    rng = np.random.default_rng(seed)
+    outline = plan.make_plan(rng)
+    shell = plan.shell(outline, rng)
+    standing, things = furnish.furnish(outline, rng)
+    lamps, fixtures = _lights(outline, rng)
+    return _assembled(outline, standing, lamps, (*shell, *things, *fixtures))
+
+
+def _lights(outline: Plan, rng: Rng) -> tuple[Array, Patches]:
+    spots = outline.parts.mean(axis=1) + rng.normal(0, 0.2, (len(outline.parts), 2))
+    glass = plain(rng, np.full(3, 250.0))
+    radius, high = rng.uniform(0.15, 0.3), outline.height
+    fixtures = tuple(lathed([(radius, -0.09), (radius, 0)], (*s, high), glass) for s in spots)
+    return np.column_stack([spots, np.full(len(spots), high - 0.25)]), fixtures
+
+
+def _assembled(outline: Plan, standing: tuple[Standing, ...], lamps: Array, all_: Patches) -> Room:
+    textures = list({id(p.texture): p.texture for p in all_}.values())
+    number = {id(t): i for i, t in enumerate(textures)}
+    counts = [len(p.corners) for p in all_]
+    corners = np.concatenate([p.corners for p in all_])
+    uv = np.concatenate([p.uv for p in all_])
+    return Room(
+        plan=outline,
+        standing=standing,
+        lamps=lamps,
+        corners=corners,
+        uv=uv.astype(np.float32),
+        texture=np.repeat([number[id(p.texture)] for p in all_], counts),
+        texel_m=_texel(corners, uv),
+        atlas=atlas.pack(textures),
+    )
+
+
+def _texel(corners: Array, uv: Array) -> FloatArray:
+    """Metres per texture pixel of each quadrilateral, the geometric mean of its two directions."""
+    a, b = uv[:, 2] - uv[:, 0], uv[:, 3] - uv[:, 1]
+    pixels = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    metres = np.linalg.norm(
+        np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]), axis=-1
+    )
+    return np.asarray(np.sqrt(metres / np.maximum(pixels, 1e-6)), np.float32)

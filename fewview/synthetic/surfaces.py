@@ -1,0 +1,141 @@
+"""Textured quadrilaterals, the only kind of surface in a synthetic room."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fewview.geometry import se3
+from fewview.synthetic.textures import Rng, Texture
+from fewview.types import Array
+
+_BOX_FACES = np.array(
+    [
+        [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]],
+        [[1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1]],
+        [[1, 1, 0], [0, 1, 0], [0, 1, 1], [1, 1, 1]],
+        [[0, 1, 0], [0, 0, 0], [0, 0, 1], [0, 1, 1]],
+        [[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]],
+        [[0, 1, 0], [1, 1, 0], [1, 0, 0], [0, 0, 0]],
+    ],
+    dtype=np.float64,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """Planar quadrilaterals that share a texture.
+
+    Attributes:
+        corners: (n, 4, 3) metres, counter-clockwise seen from the front.
+        uv: (n, 4, 2) pixels of the texture at the corners; beyond its edges the texture goes on
+            mirrored.
+        texture: what is printed on them.
+    """
+
+    corners: Array
+    uv: Array
+    texture: Texture
+
+
+def moved(patches: Iterable[Patch], target_T_source: Array) -> tuple[Patch, ...]:
+    """The same patches in another frame."""
+    return tuple(
+        replace(
+            p, corners=se3.transform(target_T_source, p.corners.reshape(-1, 3)).reshape(-1, 4, 3)
+        )
+        for p in patches
+    )
+
+
+def covered(corners: Array, texture: Texture, rng: Rng) -> Patch:
+    """Cut parallelograms out of a material at random places, its x axis along their longer side.
+
+    Args:
+        corners: (n, 4, 3) metres.
+        texture: the material.
+        rng: chooses the places.
+    """
+    along = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=-1)
+    up = np.linalg.norm(corners[:, 3] - corners[:, 0], axis=-1)
+    unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
+    uv = unit * np.stack([along, up], axis=-1)[:, None] / texture.texel_m
+    uv = np.where((up > along)[:, None, None], uv[..., ::-1], uv)
+    height, width = texture.image.shape[:2]
+    return Patch(corners, uv + rng.uniform(0, (width, height), (len(corners), 1, 2)), texture)
+
+
+def printed(corners: Array, texture: Texture) -> Patch:
+    """Stretch a whole picture over one quadrilateral (4, 3), bottom left corner first."""
+    height, width = texture.image.shape[:2]
+    uv = np.array([[0, height], [width, height], [width, 0], [0, 0]], dtype=np.float64) - 0.5
+    return Patch(corners[None], uv[None], texture)
+
+
+def box_corners(size: Sequence[float], bottom: Sequence[float]) -> Array:
+    """(6, 4, 3) faces -y, +x, +y, -x, +z, -z of a box whose base is centred on ``bottom``."""
+    low = np.array(bottom) - np.array([0.5 * size[0], 0.5 * size[1], 0.0])
+    return np.asarray(_BOX_FACES * np.array(size) + low)
+
+
+def box(size: Sequence[float], bottom: Sequence[float], texture: Texture, rng: Rng) -> Patch:
+    """A box of a material; see `box_corners`."""
+    return covered(box_corners(size, bottom), texture, rng)
+
+
+def faced_box(
+    size: Sequence[float], bottom: Sequence[float], texture: Texture, face: Texture, rng: Rng
+) -> tuple[Patch, Patch]:
+    """A box whose +y side, the front of furniture, shows a picture."""
+    faces = box_corners(size, bottom)
+    return covered(np.delete(faces, 2, axis=0), texture, rng), printed(faces[2], face)
+
+
+def lathed(
+    profile: Sequence[tuple[float, float]],
+    bottom: Sequence[float],
+    texture: Texture,
+    sides: int = 16,
+) -> Patch:
+    """A closed solid of revolution about the z axis, with flat ends.
+
+    Args:
+        profile: (radius, height) pairs, from bottom to top.
+        bottom: (3,) where the axis meets height 0.
+        texture: wrapped around once, metrically.
+        sides: even number of facets.
+    """
+    angle = 2 * np.pi * np.arange(sides + 1) / sides
+    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(sides + 1)], axis=-1)
+    rings = [r * circle + np.array([0, 0, z]) for r, z in profile]
+    quads = [
+        np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
+        for low, high in zip(rings[:-1], rings[1:], strict=True)
+    ]
+    for ring, order in ((rings[0], [0, 3, 2, 1]), (rings[-1], [0, 1, 2, 3])):
+        middle = np.broadcast_to(ring.mean(axis=0) * [0, 0, 1], (sides // 2, 3))
+        kite = np.stack([middle, ring[:-1:2], ring[1::2], ring[2::2]], axis=1)
+        quads.append(kite[:, order])
+    corners = np.concatenate(quads)
+    widest = max(r for r, _ in profile)
+    uv = _wrapped(corners, widest, np.tile(angle[:-1], len(profile) - 1)) / texture.texel_m
+    return Patch(corners + np.array(bottom), uv, texture)
+
+
+def _wrapped(corners: Array, radius: float, facet_angles: Array) -> Array:
+    flat = radius + corners[..., :2]
+    uv = np.array(flat)
+    step = facet_angles[1] - facet_angles[0]
+    n = len(facet_angles)
+    turn = facet_angles[:, None] + step * np.array([0, 1, 1, 0])
+    uv[:n] = np.stack([radius * turn, corners[:n, :, 2]], axis=-1)
+    return uv
+
+
+def ball(radius: float, centre: Sequence[float], texture: Texture) -> Patch:
+    """A sphere."""
+    latitude = np.radians([-78, -50, -25, 0, 25, 50, 78])
+    profile = [(radius * float(np.cos(a)), radius * float(np.sin(a))) for a in latitude]
+    return lathed(profile, centre, texture)
