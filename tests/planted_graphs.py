@@ -40,7 +40,7 @@ def room_poses(rng: np.random.Generator, count: int) -> Array:
 
 
 def candidate(
-    rank: int, target_T_source: Array, probability: float, overlap: float = 0.5
+    rank: int, target_T_source: Array, probability: float, overlap: float = 0.0
 ) -> PoseCandidate:
     """A candidate with plausible evidence."""
     covariance = np.diag([1e-4] * 3 + [4e-4] * 3)

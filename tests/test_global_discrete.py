@@ -206,3 +206,20 @@ def test_long_chains_of_moves_stay_rigid() -> None:
         turn @ np.swapaxes(turn, 1, 2), np.tile(np.eye(3), (12, 1, 1)), atol=1e-9
     )
     assert np.isfinite(gain_matrix(problem, state)).all()
+
+
+@pytest.mark.parametrize(("overlap", "parts"), [(0.8, 2), (0.0, 1)])
+def test_links_between_repeated_views_count_once(overlap: float, parts: int) -> None:
+    poses = room_poses(np.random.default_rng(3), 6)
+    groups = ({0, 1, 2}, {3, 4, 5})
+    pairs = []
+    for s, t in itertools.combinations(range(6), 2):
+        together = any({s, t} <= group for group in groups)
+        motion = se3.inverse(poses[t]) @ poses[s]
+        probability, shared = (0.95, overlap) if together else (0.06, 0.0)
+        pairs.append(pair_result(s, t, [candidate(0, motion, probability, shared)]))
+    problem = build(6, pairs, CONFIG)
+    state = discrete.search(problem, 8, 0)
+    assert len(np.unique(state.component)) == 1
+    drop_doubtful(problem, state, CONFIG.min_probability)
+    assert len(np.unique(state.component)) == parts

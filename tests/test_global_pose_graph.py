@@ -19,7 +19,9 @@ def ring(poses: Array, noise: Noise, rng: np.random.Generator) -> list[Edge]:
     n = len(poses)
     pairs = sorted({(min(i, j), max(i, j)) for i in range(n) for j in ((i + 1) % n, (i + 2) % n)})
     truth = {(s, t): se3.inverse(poses[t]) @ poses[s] for s, t in pairs if s != t}
-    return [Edge(s, t, candidate(0, shaken(rng, m, noise), 0.9)) for (s, t), m in truth.items()]
+    return [
+        Edge(s, t, candidate(0, shaken(rng, m, noise), 0.9, 0.5)) for (s, t), m in truth.items()
+    ]
 
 
 def chained(edges: list[Edge], first: Array, scans: int) -> dict[int, Array]:
@@ -80,7 +82,7 @@ def test_an_outlier_loses_its_weight() -> None:
     start = chained(edges, poses[0], 6)
     bad = 4
     wrong = edges[bad].candidate.target_T_source @ se3.exp(np.array([0, 0.3, 0, 0.5, 0, 0]))
-    edges[bad] = Edge(edges[bad].source, edges[bad].target, candidate(0, wrong, 0.9))
+    edges[bad] = Edge(edges[bad].source, edges[bad].target, candidate(0, wrong, 0.9, 0.5))
     result = optimise(start, edges)
     weights = [edge.weight for edge in result.edges]
     assert np.argmin(weights) == bad

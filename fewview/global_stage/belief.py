@@ -8,11 +8,11 @@ separates the two does:
     P(i right relative to j) = product over blocks that hold one of i, j of 1 / (1 + w).
 
 Places in other components are no rivals: that the block belongs there too does not make it wrong
-here. A block
-that comes loose may also fall apart, which is what it leaves to chance in loops of weak links (the
-terms of `_log_dissolved`: what both parts gain by it over what the whole does). The product is
-exact for trees of links: a leaf carries the doubt of every link on its way to
-the core. The core of a component is the scan relative to which most scans are expected to be right.
+here. A block that comes loose may also fall apart, which matters in loops of weak links (the terms
+of `_log_dissolved`: what the two parts gain by it over what the whole does). Links that repeat one
+another count once (`novelty`). The product is exact for trees of links: a leaf carries the doubt of
+every link on its way to the core. The core of a component is the scan relative to which most scans
+are expected to be right.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from scipy.special import logsumexp
 
 from fewview.global_stage.blocks import pieces, tree_blocks
 from fewview.global_stage.model import Problem
+from fewview.global_stage.novelty import novel_scores, shared_views
 from fewview.global_stage.placement import State, gain_matrix, options
 from fewview.types import Array, BoolArray
 
@@ -51,7 +52,8 @@ def judge(problem: Problem, state: State) -> Belief:
     """Estimate the probability of every scan's place."""
     gains = gain_matrix(problem, state)
     blocks = _suspects(gains, state)
-    doubt = np.array([_doubt(problem, state, gains, block) for block in blocks])
+    shared = shared_views(problem, state)
+    doubt = np.array([_doubt(problem, state, gains, shared, block) for block in blocks])
     weighted = blocks.T * doubt
     agree = np.exp(-(weighted @ ~blocks + (weighted @ ~blocks).T))
     probability = np.zeros(problem.scans)
@@ -98,9 +100,10 @@ def _suspects(gains: Array, state: State) -> BoolArray:
     return np.unique(np.reshape(rows, (-1, len(gains))).astype(bool), axis=0)
 
 
-def _doubt(problem: Problem, state: State, gains: Array, block: BoolArray) -> float:
+def _doubt(problem: Problem, state: State, gains: Array, shared: Array, block: BoolArray) -> float:
     """log(1 + w) of the module's formula."""
     choice = options(problem, state, block)
+    stay, *_ = score = novel_scores(problem, choice, shared)
     home = state.component[block][0]
     rest = (state.component == home) & ~block
     accept = problem.join_cost - problem.prior_cost
@@ -111,9 +114,9 @@ def _doubt(problem: Problem, state: State, gains: Array, block: BoolArray) -> fl
         + np.logaddexp(0.0, problem.prior_cost - gains[np.ix_(block, rest)].sum())
     )
     rival = (choice.component == home) & ~choice.same
-    elsewhere = choice.score[rival] - np.log(choice.copies[rival])
+    elsewhere = score[1:][rival] - np.log(choice.copies[rival])
     others = logsumexp(np.append(elsewhere, apart - accept))
-    return float(np.logaddexp(0.0, others - choice.stay))
+    return float(np.logaddexp(0.0, others - stay))
 
 
 def _log_dissolved(problem: Problem, gains: Array, part: BoolArray) -> float:

@@ -50,6 +50,7 @@ class Problem:
         motion: (m, 4, 4) target_T_source.
         probability: (m,) calibrated, clipped.
         evidence: (m,) r_k of the module's formula.
+        overlap: (m,) share of the smaller surface that the candidate lays on the other.
         prior_cost: -log v.
         join_cost: J of the module's formula.
         max_chord2: squared chord 2 (1 - cos) of the rotation tolerance.
@@ -64,6 +65,7 @@ class Problem:
     motion: Array
     probability: Array
     evidence: Array
+    overlap: Array
     prior_cost: float
     join_cost: float
     max_chord2: float
@@ -90,7 +92,9 @@ def build(scans: int, pairs: Sequence[PairResult], config: GlobalConfig) -> Prob
     elsewhere = 1.0 - np.minimum(total, MAX_PAIR_PROBABILITY)
     evidence = probability / (elsewhere[index[:, 2]] * config.chance_agreement)
     keep = np.flatnonzero(evidence > 1.0)
-    motions = [rows[i][4].target_T_source for i in keep]
+    kept = [rows[i][4] for i in keep]
+    motions = [candidate.target_T_source for candidate in kept]
+    overlap = [candidate.evidence.overlap for candidate in kept]
     accept = math.log(config.min_probability) - math.log1p(-config.min_probability)
     return Problem(
         scans=scans,
@@ -101,6 +105,7 @@ def build(scans: int, pairs: Sequence[PairResult], config: GlobalConfig) -> Prob
         motion=np.array(motions, dtype=np.float64).reshape(-1, 4, 4),
         probability=probability[keep],
         evidence=evidence[keep],
+        overlap=np.array(overlap, dtype=np.float64),
         prior_cost=-math.log(config.chance_agreement),
         join_cost=accept - math.log(config.chance_agreement),
         max_chord2=float(2.0 - 2.0 * np.cos(np.radians(config.max_angle_deg))),

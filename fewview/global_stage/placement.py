@@ -63,6 +63,8 @@ class Options:
         partner: (a,) index of the candidate that proposes.
         same: (a,) whether it proposes the present place, within the kernel's radius.
         copies: (a,) number of proposals for this place, itself included.
+        gains: (1 + a, q) what each pair of scans adds, in the present place and in each proposal.
+        inside, outside: (q,) the scans of those pairs.
     """
 
     stay: float
@@ -72,6 +74,9 @@ class Options:
     partner: IntArray
     same: BoolArray
     copies: IntArray
+    gains: Array
+    inside: IntArray
+    outside: IntArray
 
 
 def options(problem: Problem, state: State, block: BoolArray) -> Options:
@@ -93,7 +98,9 @@ def options(problem: Problem, state: State, block: BoolArray) -> Options:
         problem, motions, implied, state.pose[moving, :3, 3], state.pose[fixed, :3, 3]
     )
     agree *= frames[:, None] == state.component[fixed]
-    score = pair_gains(problem, crossing, agree).sum(axis=1) - problem.join_cost
+    gains = pair_gains(problem, crossing, agree)
+    score = gains.sum(axis=1) - problem.join_cost
+    first = np.flatnonzero(np.diff(problem.pair[crossing], prepend=-1))
     among = agree[:, order] > 0.0
     return Options(
         stay=0.0 if alone else float(score[0]),
@@ -103,6 +110,9 @@ def options(problem: Problem, state: State, block: BoolArray) -> Options:
         partner=crossing[order],
         same=among[0],
         copies=among[1:].sum(axis=1),
+        gains=gains,
+        inside=moving[first],
+        outside=fixed[first],
     )
 
 
