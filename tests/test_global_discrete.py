@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 
 import numpy as np
@@ -121,11 +122,11 @@ def test_options_score_what_the_objective_gains() -> None:
     state = discrete.spanning_tree(problem, np.log(problem.evidence))
     block = np.arange(6) == 2
     choice = options(problem, state, block)
-    apart = state.copy()
+    apart = copy.deepcopy(state)
     apart.detach(block)
     assert choice.stay == pytest.approx(objective(problem, state) - objective(problem, apart))
     for k in range(len(choice.score)):
-        moved = state.copy()
+        moved = copy.deepcopy(state)
         moved.move(block, choice.motion[k], int(choice.component[k]))
         gained = objective(problem, moved) - objective(problem, apart)
         assert choice.score[k] == pytest.approx(gained, abs=1e-6)

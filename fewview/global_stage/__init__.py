@@ -1,4 +1,4 @@
-"""From the candidates of all pairs to one consistent set of poses (Sec. 4.4 of the paper)."""
+"""From the candidates of all pairs to one consistent set of poses (Sec. 4.5 of the paper)."""
 
 from fewview.global_stage.stage import solve
 

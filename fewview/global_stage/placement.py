@@ -34,10 +34,6 @@ class State:
         """Every scan alone in a frame of its own."""
         return cls(np.tile(np.eye(4), (scans, 1, 1)), np.arange(scans, dtype=np.int64))
 
-    def copy(self) -> State:
-        """An independent copy."""
-        return State(self.pose.copy(), self.component.copy())
-
     def detach(self, block: BoolArray) -> None:
         """Give the scans of ``block`` a frame of their own."""
         unused = np.setdiff1d(np.arange(len(self.component) + 1), self.component)
