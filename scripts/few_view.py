@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from fewview.evaluation import evaluate_report
-from peers.methods import PEERS
+from peers.catalogue import PEERS
 from predictions import Task, predict
 from scenes import Scene
 from sets import frame_sets, half_turned, overlaps_by_name

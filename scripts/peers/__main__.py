@@ -10,7 +10,8 @@ import cv2
 import open3d as o3d
 import torch
 
-from peers.methods import PEERS, run
+from peers.catalogue import PEERS
+from peers.methods import run
 from scenes import Scene
 
 

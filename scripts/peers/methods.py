@@ -1,40 +1,24 @@
-"""The peers by name, and one run of a peer over a folder of scans."""
+"""One run of a peer over a set of scans."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
 import networkx as nx
 
 from fewview.types import Array, Frame
-from peers.backends import Edges, gnc, robust_rec
+from peers.backends import gnc, robust_rec
+from peers.catalogue import Peer
 from peers.clouds import Edge, refine
 from peers.estimators import ESTIMATORS, Estimator, View
 
 Json = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Peer:
-    """A pair estimator with a gate on its inliers, and a multi-scan back-end."""
-
-    estimator: str
-    backend: Callable[[list[int], Edges], dict[int, Array]]
-    min_support: int = 0
-
-
-PEERS = {
-    "xfeat_robustrec": Peer("xfeat", robust_rec, min_support=15),
-    "xfeat_gnc": Peer("xfeat", gnc, min_support=15),
-    "ransac_robustrec": Peer("ransac", robust_rec),
-    "fgr_robustrec": Peer("fgr", robust_rec),
-    "kiss_robustrec": Peer("kiss", robust_rec),
-}
-"""The first is the one to beat; RANSAC with the pose graph is the paper's RobustRecons."""
+BACKENDS = {"robust_rec": robust_rec, "gnc": gnc}
 
 
 def run(peer: Peer, names: Sequence[str], frames: Sequence[Frame], jobs: int) -> Json:
@@ -51,7 +35,7 @@ def run(peer: Peer, names: Sequence[str], frames: Sequence[Frame], jobs: int) ->
     components = sorted((sorted(c) for c in nx.connected_components(graph)), key=_by_size)
     for component, scans in enumerate(components):
         inside = {pair: edge for pair, edge in kept.items() if pair[0] in scans}
-        solved = peer.backend(scans, inside)
+        solved = BACKENDS[peer.backend](scans, inside)
         poses.update({scan: (component, pose) for scan, pose in solved.items()})
     return {
         "scans": [_scan(name, poses.get(i)) for i, name in enumerate(names)],
