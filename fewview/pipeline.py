@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 from fewview import fusion, global_stage
 from fewview.completion import complete
-from fewview.completion.orientation import quarter_turns, turned_descriptors
+from fewview.completion.orientation import glance, quarter_turns
 from fewview.config import Config
 from fewview.errors import FewviewError
 from fewview.executor import Executor
@@ -105,8 +105,8 @@ class _Run:
         scans = self.scans.scans
         turns = [0] * len(scans)
         if self.config.features.quarter_turns:
-            described = self.executor.map(lambda s: turned_descriptors(s.load()), scans)
-            turns = quarter_turns(list(described)).tolist()
+            glances = self.executor.map(lambda s: glance(s.load()), scans)
+            turns = quarter_turns(list(glances)).tolist()
 
         def one(index: int) -> tuple[Frame, CompletedScan]:
             frame = scans[index].load()

@@ -30,7 +30,7 @@ def find_patches(
     patches: list[PlanarPatch] = []
     tolerance = 0.02 + 0.006 * np.linalg.norm(surface.points, axis=1)
     while len(patches) < max_patches:
-        free = np.flatnonzero(labels < 0)
+        free = np.flatnonzero(labels == -1)
         if len(free) < MIN_POINTS:
             break
         inliers = _best_plane(surface, free, tolerance, rng)
