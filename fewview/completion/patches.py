@@ -36,12 +36,12 @@ def find_patches(
         inliers = _best_plane(surface, free, tolerance, rng)
         if len(inliers) < MIN_POINTS:
             break
-        patch, members = _largest_piece(surface, inliers)
+        members = _largest_piece(surface, inliers)
         if len(members) < MIN_POINTS:
             labels[inliers] = -2
             continue
         labels[members] = len(patches)
-        patches.append(patch)
+        patches.append(_describe(surface, members))
     labels[labels == -2] = -1
     return _ordered_by_size(surface, labels, patches)
 
@@ -75,7 +75,7 @@ def _principal_axes(points: Array) -> tuple[Array, Array, Array]:
     return centre, axes, values
 
 
-def _largest_piece(surface: Surface, members: IntArray) -> tuple[PlanarPatch, IntArray]:
+def _largest_piece(surface: Surface, members: IntArray) -> IntArray:
     points = surface.points[members]
     centre, axes, _ = _principal_axes(points)
     cells = np.floor((points - centre) @ axes[:, 1:] / CELL_M).astype(int)
@@ -84,8 +84,7 @@ def _largest_piece(surface: Surface, members: IntArray) -> tuple[PlanarPatch, In
     grid[cells[:, 0], cells[:, 1]] = 1
     _, pieces = cv2.connectedComponents(grid, connectivity=8)
     piece = pieces[cells[:, 0], cells[:, 1]]
-    members = members[piece == np.bincount(piece).argmax()]
-    return _describe(surface, members), members
+    return np.asarray(members[piece == np.bincount(piece).argmax()])
 
 
 def _describe(surface: Surface, members: IntArray) -> PlanarPatch:
