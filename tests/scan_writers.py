@@ -55,6 +55,17 @@ def samples(
     return made
 
 
+def turned(scan: Sample) -> Sample:
+    """Both images turned counter-clockwise by 90 degrees, the pose as it was."""
+    return Sample(np.rot90(scan.colour).copy(), np.rot90(scan.raw).copy(), scan.world_T_scan)
+
+
+def turned_camera(matrix: Array = CAMERA, width: int = WIDTH) -> Array:
+    """The camera matrix that goes with `turned`."""
+    (fx, _, cx), (_, fy, cy), _ = matrix
+    return np.array([[fy, 0.0, cy], [0.0, fx, width - 1 - cx], [0.0, 0.0, 1.0]])
+
+
 def encode(image: NDArray[Any], extension: str = ".png") -> bytes:
     """An image file's bytes; three channels are taken as RGB."""
     pixels = np.ascontiguousarray(image[..., ::-1]) if image.ndim == 3 else image

@@ -45,7 +45,7 @@ DEPTH_FILES: dict[str, tuple[bytes, str]] = {
     "JPEG": (w.encode(np.zeros((w.HEIGHT, w.WIDTH), np.uint8), ".jpg"), "JPEG.*export"),
     "text": (b"hello", "neither a PNG nor a JPEG"),
     "only a signature": (b"\x89PNG\r\n\x1a\n", "corrupt"),
-    "other size": (png_of(32, 24, np.uint16), "32x24.*64x48"),
+    "other shape": (png_of(32, 30, np.uint16), "intrinsics.txt is for 64x48.*32x30.*write"),
     "absurd size": (
         b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\x7f\xff\xff\xff\x7f\xff\xff\xff\x10\0\0\0\0" + bytes(8),
         "2147483647x2147483647.*corrupt",
@@ -98,10 +98,12 @@ def test_colour_of_16_bits(tmp_path: Path) -> None:
     assert re.search(r"frame-000001\.color\.png has 16 bits.*export", message_of(tmp_path))
 
 
-def test_colour_of_another_size_than_the_others(tmp_path: Path) -> None:
+@pytest.mark.parametrize("size", [(32, 30), (48, 64)])
+def test_colour_of_another_shape_than_its_depth(size: tuple[int, int], tmp_path: Path) -> None:
     w.write_seven_scenes(tmp_path)
-    w.put(tmp_path / "frame-000001.color.png", w.encode(w.colour_ramp(32, 24)))
-    assert re.search(r"frame-000001\.color\.png is 32x24.*one size", message_of(tmp_path))
+    w.put(tmp_path / "frame-000001.color.png", w.encode(w.colour_ramp(*size)))
+    expected = rf"frame-000001\.color\.png \({size[0]}x{size[1]}\).*64x48.*register colour"
+    assert re.search(expected, message_of(tmp_path))
 
 
 @pytest.mark.parametrize(
@@ -173,6 +175,20 @@ def test_camera_text(case: str, tmp_path: Path) -> None:
     assert "intrinsics.txt" in message and re.search(expected, message)
 
 
+@pytest.mark.parametrize("case", CAMERAS)
+def test_camera_text_of_one_scan(case: str, tmp_path: Path) -> None:
+    content, expected = CAMERAS[case]
+    w.put(w.write_seven_scenes(tmp_path) / "frame-000001.intrinsics.txt", content)
+    message = message_of(tmp_path)
+    assert "frame-000001.intrinsics.txt" in message and re.search(expected, message)
+
+
+def test_the_folders_camera_is_missed_by_scans_without_one(tmp_path: Path) -> None:
+    (w.write_seven_scenes(tmp_path) / "intrinsics.txt").unlink()
+    w.put(tmp_path / "frame-000001.intrinsics.txt", w.rows(w.CAMERA))
+    assert re.search(r"no camera intrinsics: write .*intrinsics\.txt", message_of(tmp_path))
+
+
 def test_camera_text_that_is_not_text(tmp_path: Path) -> None:
     w.put(w.write_seven_scenes(tmp_path) / "intrinsics.txt", b"\xff\xfe\x00\x81")
     assert "intrinsics.txt is not a text file" in message_of(tmp_path)
@@ -184,7 +200,7 @@ JSON_CAMERAS: dict[str, tuple[str, str]] = {
     "deep": ("[" * 100_000, "not a camera file"),
     "no matrix": ('{"width": 64, "height": 48}', "needs width, height and intrinsic_matrix"),
     "NaN": (json.dumps(w.camera_json(w.CAMERA * np.nan)), "NaN"),
-    "other size": (json.dumps(w.camera_json(size=(640, 480))), "is for 640x480.*64x48"),
+    "other size": (json.dumps(w.camera_json(size=(640, 480))), "640x480.*another image size"),
     "negative scale": (json.dumps(w.camera_json() | {"depth_scale": -1}), "depth_scale"),
 }
 

@@ -66,6 +66,12 @@ def test_scans_of_others_are_not_mixed_in(tmp_path: Path) -> None:
         scans.write(tmp_path, frames(2))
 
 
+def test_a_camera_left_by_another_scan_is_not_taken_over(tmp_path: Path) -> None:
+    w.put(tmp_path / "view-0.intrinsics.txt", w.rows(w.CAMERA))
+    with pytest.raises(ScanError, match=r"view-0\.intrinsics\.txt.*choose an empty folder"):
+        scans.write(tmp_path, frames())
+
+
 def test_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(self: Path, target: Path) -> Path:
         raise OSError(28, "No space left on device")

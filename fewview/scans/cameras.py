@@ -43,6 +43,15 @@ class Pinhole:
     size: Size | None = None
     depth_scale: float | None = None
 
+    def off_centre(self, size: Size) -> float:
+        """Distance of the principal point from the image centre, as a share of the image side."""
+        width, height = size
+        return max(abs((self.cx + 0.5) / width - 0.5), abs((self.cy + 0.5) / height - 0.5))
+
+    def is_central(self, size: Size) -> bool:
+        """Whether the principal point is where it can be in an image of ``size``."""
+        return self.off_centre(size) <= _CENTRE_TOLERANCE
+
     def for_image(self, size: Size, what: str) -> Intrinsics:
         """The camera of an image of ``size``, after a check that it can be.
 
@@ -50,11 +59,10 @@ class Pinhole:
             ScanError: the matrix belongs to an image of another size.
         """
         width, height = size
-        offset = max(abs((self.cx + 0.5) / width - 0.5), abs((self.cy + 0.5) / height - 0.5))
-        if offset > _CENTRE_TOLERANCE:
+        if not self.is_central(size):
             raise ScanError(
                 f"{self.label}: the principal point ({self.cx:g}, {self.cy:g}) is far from the "
-                f"centre of the {width}x{height} {what} images, so these intrinsics belong to "
+                f"centre of a {width}x{height} {what} image, so these intrinsics belong to "
                 f"another image size: write those of the {width}x{height} image"
             )
         low, high = (share * width for share in _FOCAL_RANGE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,9 @@ import numpy as np
 from fewview.errors import ScanError
 from fewview.scans.assembly import Assembly, assemble
 from fewview.scans.images import Size
+from fewview.scans.notes import some
 from fewview.scans.reader import Reader
+from fewview.scans.registration import Rig
 from fewview.scans.registry import find_reader
 from fewview.types import Intrinsics, Scan
 
@@ -43,9 +46,10 @@ class Inspection:
         path: what was inspected.
         format: the layout's name.
         scans: one per scan, in the order of their names.
-        colour_size: width and height of the stored colour images.
-        depth_size: width and height of the stored depth images.
-        intrinsics: camera of the frames, colour and depth.
+        colour_size: width and height of the stored colour images, those of most scans.
+        depth_size: width and height of the stored depth images, those of most scans.
+        intrinsics: camera of the frames, colour and depth, that of most scans.
+        cameras: number of different cameras.
         depth_unit_m: metres per raw depth value.
         depth_unit_reason: how that was determined.
         poses: number of scans that have a ground-truth pose.
@@ -59,6 +63,7 @@ class Inspection:
     colour_size: Size
     depth_size: Size
     intrinsics: Intrinsics
+    cameras: int
     depth_unit_m: float
     depth_unit_reason: str
     poses: int
@@ -77,7 +82,8 @@ class Inspection:
             f"  colour      {self.colour_size[0]} x {self.colour_size[1]}",
             f"  depth       {self.depth_size[0]} x {self.depth_size[1]}",
             f"  camera      {camera.width} x {camera.height}, fx {camera.fx:.2f} fy "
-            f"{camera.fy:.2f} cx {camera.cx:.2f} cy {camera.cy:.2f}",
+            f"{camera.fy:.2f} cx {camera.cx:.2f} cy {camera.cy:.2f}"
+            f"{f' (the commonest of {self.cameras} cameras)' if self.cameras > 1 else ''}",
             f"  depth unit  {self.depth_unit_m:g} m ({self.depth_unit_reason})",
             f"  poses       {self.poses or 'none'}{' (for evaluate only)' if self.poses else ''}",
             *(f"  note        {note}" for note in self.notes),
@@ -105,7 +111,7 @@ def inspect(path: str | os.PathLike[str], depth_unit_m: float | None = None) -> 
     ranges = tuple(_range(scan) for scan in assembly.scans.scans)
     poses, warnings = _count_poses(reader, where)
     warnings = [*_warnings(assembly, ranges), *warnings]
-    rig = assembly.rig
+    rig, cameras = _commonest(assembly)
     return Inspection(
         path=str(where),
         format=reader.NAME,
@@ -113,12 +119,20 @@ def inspect(path: str | os.PathLike[str], depth_unit_m: float | None = None) -> 
         colour_size=(rig.colour.width, rig.colour.height),
         depth_size=(rig.depth.width, rig.depth.height),
         intrinsics=rig.target,
+        cameras=cameras,
         depth_unit_m=assembly.unit.metres,
         depth_unit_reason=assembly.unit.reason,
         poses=poses,
         notes=assembly.notes,
         warnings=tuple(warnings),
     )
+
+
+def _commonest(assembly: Assembly) -> tuple[Rig, int]:
+    """The rig with the cameras of most scans, and the number of different cameras."""
+    cameras = [(rig.depth, rig.colour) for rig in assembly.rigs]
+    counts = Counter(cameras)
+    return assembly.rigs[cameras.index(counts.most_common(1)[0][0])], len(counts)
 
 
 def _range(scan: Scan) -> ScanRange:
@@ -139,13 +153,8 @@ def _warnings(assembly: Assembly, ranges: tuple[ScanRange, ...]) -> list[str]:
     found = [assembly.unit.warning] if assembly.unit.warning else []
     sparse = [scan.name for scan in ranges if scan.valid_share < _SPARSE]
     if sparse:
-        found.append(f"under {_SPARSE:.0%} of the pixels have a depth in {_some(sparse)}")
+        found.append(f"under {_SPARSE:.0%} of the pixels have a depth in {some(sparse)}")
     far = [scan.name for scan in ranges if scan.depth_m[1] > _FAR_M]
     if far:
-        found.append(f"most depths are beyond {_FAR_M:g} m in {_some(far)}")
+        found.append(f"most depths are beyond {_FAR_M:g} m in {some(far)}")
     return found
-
-
-def _some(names: list[str]) -> str:
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return ", ".join(names[:3]) + more

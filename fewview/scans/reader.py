@@ -16,11 +16,17 @@ from fewview.types import Array
 
 @dataclass(frozen=True)
 class Shot:
-    """One scan as it is stored: a name and two encoded images."""
+    """One scan as it is stored: a name and two encoded images.
+
+    Attributes:
+        camera: the scan's own depth camera, then also that of its colour image, which shows the
+            same view; None where the folder's calibration holds.
+    """
 
     name: str
     colour: StoredImage
     depth: StoredImage
+    camera: Pinhole | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +47,14 @@ class Calibration:
 
 @dataclass(frozen=True, eq=False)
 class Listing:
-    """What a folder holds, before any pixel is read."""
+    """What a folder holds, before any pixel is read.
+
+    Attributes:
+        calibration: of the shots without a camera of their own; None when there are none.
+    """
 
     shots: tuple[Shot, ...]
-    calibration: Calibration
+    calibration: Calibration | None
     unit: DepthUnit
     notes: tuple[str, ...] = ()
 

@@ -66,7 +66,14 @@ def _common_intrinsics(scans: Sequence[tuple[str, Frame]]) -> Intrinsics:
 
 
 def _check_others(folder: Path, files: set[str]) -> None:
-    suffixes = (".color.jpg", ".color.jpeg", ".color.png", ".depth.png", ".pose.txt")
+    suffixes = (
+        ".color.jpg",
+        ".color.jpeg",
+        ".color.png",
+        ".depth.png",
+        ".pose.txt",
+        ".intrinsics.txt",
+    )
     for path in pairing.files(folder):
         if path.name.lower().endswith(suffixes) and path.name not in files:
             raise ScanError(f"{path} belongs to other scans: choose an empty folder")
