@@ -20,7 +20,7 @@ from fewview.errors import ConfigError
 class FeatureConfig:
     """Features of what a scan shows."""
 
-    max_keypoints: int = 1024
+    max_keypoints: int = 768
     """Learned keypoints kept per scan."""
     max_sift: int = 600
     """SIFT keypoints kept per scan."""
@@ -62,13 +62,13 @@ class RefinementConfig:
     """Largest distance of a nearest-neighbour pair, per alternation."""
     alpha_0_m: float = 0.03
     """Scale of the nearest-neighbour term."""
-    alpha_1_m: float = 0.05
+    alpha_1_m: float = 0.02
     """Scale of the co-planar term."""
-    alpha_2: float = 0.1
+    alpha_2: float = 0.03
     """Scale of the parallel term (sine of an angle)."""
-    alpha_3: float = 0.1
+    alpha_3: float = 0.03
     """Scale of the perpendicular term (sine of an angle)."""
-    alpha_r: float = 0.1
+    alpha_r: float = 0.02
     """Weight of the relations against the nearest neighbours."""
     match_weight: float = 3.0
     """Weight of a matched feature against a nearest neighbour."""

@@ -103,8 +103,10 @@ def weigh_pair(source: PreparedScan, target: PreparedScan, config: Config) -> We
     chosen = _different(source, target, poses, support, config)
     poses, support = poses[chosen], support[chosen]
     kept = tuple(origins[k] for k in chosen)
-    found = evidence.gather(source, target, poses, matches, support, kept, scores[chosen])
     covariance = refined.covariance[chosen]
+    found = evidence.gather(
+        source, target, poses, covariance, matches, support, kept, scores[chosen]
+    )
     return Weighed(poses, covariance, kept, scores[chosen], matches, support, found)
 
 

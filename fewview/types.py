@@ -123,7 +123,8 @@ class FeatureSet:
         kind: which extractor made them; only features of one kind are matched with each other.
         representation: where their support is counted.
         positions: (n, 3) float64 in the scan's frame, metres.
-        normals: (n, 3) float64 unit vectors in the scan's frame, towards the camera.
+        normals: (n, 3) float64 unit vectors in the scan's frame, towards the camera; zero where
+            unknown.
         descriptors: (n, d) float32.
         observed: (n,) bool; False where the feature was predicted, not seen.
         confidence: (n,) float32 in 0..1.

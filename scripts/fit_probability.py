@@ -51,6 +51,14 @@ FEATURES = (
     "yaw",
     "manhattan",
     "raster",
+    "upright",
+    "upright_seen",
+    "looseness",
+    "alone_overlap",
+    "alone_upright",
+    "alone_violation",
+    "alone_looseness",
+    "alone_colour",
 )
 RIDGE = 2.0
 

@@ -22,6 +22,9 @@ from fewview.types import (
 )
 
 
+MIN_DEPTHS = 2
+
+
 @dataclass(frozen=True)
 class ScanView:
     """What an extractor may look at: one scan's pixels and the geometry made of them."""
@@ -50,7 +53,7 @@ class FeatureKind(Protocol):
 def lift_keypoints(
     view: ScanView, pixels: FloatArray, max_depth_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Give image keypoints a position and a normal.
+    """Give image keypoints a position and, where the surface allows, a normal.
 
     Args:
         view: the scan.
@@ -58,15 +61,16 @@ def lift_keypoints(
         max_depth_m: keypoints farther away are not kept.
 
     Returns:
-        kept: (m,) indices of the keypoints that lie on a reliable surface,
-        positions: (m, 3) and normals: (m, 3), scan frame.
+        kept: (m,) indices of the keypoints with a depth,
+        positions: (m, 3) and normals: (m, 3) in the scan's frame, zero where not reliable.
     """
     depth = view.frame.depth
     columns = np.clip(np.rint(pixels[:, 0]).astype(int), 0, depth.shape[1] - 1)
     rows = np.clip(np.rint(pixels[:, 1]).astype(int), 0, depth.shape[0] - 1)
     z = _smoothed_depth(depth, rows, columns)
     normals, reliable = view.depth.normals(*view.depth.pixels_of(pixels, view.frame.intrinsics))
-    kept = np.flatnonzero((z > 0) & (z < max_depth_m) & reliable)
+    kept = np.flatnonzero((z > 0) & (z < max_depth_m))
+    normals = np.where(reliable[:, None], normals, 0.0)
     camera = view.frame.intrinsics
     x = (pixels[kept, 0] - camera.cx) * z[kept] / camera.fx
     y = (pixels[kept, 1] - camera.cy) * z[kept] / camera.fy
@@ -85,4 +89,4 @@ def _smoothed_depth(depth: FloatArray, rows: np.ndarray, columns: np.ndarray) ->
     ordered = np.sort(np.where(near_side, values, np.inf), axis=1)
     count = near_side.sum(axis=1)
     middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[:, None] // 2, axis=1)[:, 0]
-    return np.where(count >= 5, middle, 0).astype(np.float32)
+    return np.where(count >= MIN_DEPTHS, middle, 0).astype(np.float32)

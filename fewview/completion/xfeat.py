@@ -17,6 +17,7 @@ from fewview.config import FeatureConfig
 from fewview.types import CompletedScan, Correspondences, FeatureSet, FloatArray, Representation
 
 MIN_CONFIDENCE = 0.1
+SPARE = 2
 
 
 class XFeatKeypoints:
@@ -27,14 +28,15 @@ class XFeatKeypoints:
 
     def extract(self, view: ScanView, config: FeatureConfig) -> FeatureSet:
         pixels, descriptors, scores = describe(
-            view.frame.colour, view.quarter_turns, config.max_keypoints
+            view.frame.colour, view.quarter_turns, SPARE * config.max_keypoints
         )
         kept, positions, normals = lift_keypoints(view, pixels, config.max_depth_m)
+        kept = kept[: config.max_keypoints]
         return FeatureSet(
             self.name,
             self.representation,
-            positions,
-            normals,
+            positions[: len(kept)],
+            normals[: len(kept)],
             descriptors[kept],
             np.ones(len(kept), dtype=bool),
             scores[kept],

@@ -6,8 +6,9 @@ C(c, c') = s_c s_c' g_cc', where g compares one length and three angles that a r
 
     g = exp(-(l_1 - l_2)^2 / 2 gamma_2^2 - sum_i (theta_i,1 - theta_i,2)^2 / 2 gamma_{i+2}^2)
 
-Every kind of feature has its own gammas; between kinds their variances are averaged. Entries under
-`MIN_ENTRY` are zero, so most pairs are settled by their length alone and never see an angle.
+Every kind of feature has its own gammas; between kinds their variances are averaged. An angle with
+an unknown normal says nothing. Entries under `MIN_ENTRY` are zero, so most pairs are settled by
+their length alone and never see an angle.
 """
 
 from __future__ import annotations
@@ -18,7 +19,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from fewview.types import Array, CompletedScan, Correspondences, FloatArray, IntArray
+from fewview.types import (
+    Array,
+    BoolArray,
+    CompletedScan,
+    Correspondences,
+    FloatArray,
+    IntArray,
+)
 
 MIN_ENTRY = 0.1
 MIN_LENGTH_M = 0.05
@@ -51,7 +59,7 @@ class CandidateMatches:
     """Candidate correspondences of all kinds, stacked.
 
     Attributes:
-        source, target: (m, 3) positions; source_normals, target_normals: (m, 3).
+        source, target: (m, 3) positions; source_normals, target_normals: (m, 3), zero if unknown.
         similarity: (m,) s_c.
         kinds: the feature kinds; kind: (m,) index into them.
         indices: (m, 2) into the feature sets of that kind.
@@ -68,6 +76,11 @@ class CandidateMatches:
 
     def __len__(self) -> int:
         return len(self.source)
+
+    @property
+    def normals_known(self) -> BoolArray:
+        """(m,) whether both features have a normal."""
+        return np.asarray(self.source_normals.any(axis=1) & self.target_normals.any(axis=1))
 
     def scale(self, name: str) -> FloatArray:
         """(m,) value of a `Scales` field for each correspondence."""
@@ -147,11 +160,13 @@ def _geometry_score(matches: CandidateMatches, i: IntArray, j: IntArray) -> Floa
             (matches.target, matches.target_normals),
         )
     ]
+    known = matches.normals_known
+    used = (np.ones(len(i), dtype=bool), known[i] & known[j], known[i], known[j])
     names = ("length_m", "normal_angle", "direction_angle", "direction_angle")
     exponent = np.zeros(len(i), dtype=np.float32)
-    for name, a, b in zip(names, *quantities, strict=True):
+    for name, use, a, b in zip(names, used, *quantities, strict=True):
         gamma = matches.scale(name) ** 2
-        exponent += (a - b) ** 2 / (gamma[i] + gamma[j])
+        exponent += use * (a - b) ** 2 / (gamma[i] + gamma[j])
     return np.exp(-exponent)
 
 

@@ -9,7 +9,9 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from fewview.matching.manhattan import TopDown, top_down
-from fewview.types import Array, CompletedScan, FloatArray
+from fewview.types import Array, BoolArray, CompletedScan, FloatArray
+
+UPRIGHT_COS = 0.5
 
 
 @dataclass(frozen=True)
@@ -20,6 +22,7 @@ class PreparedScan:
         scan: the scan.
         tree: k-d tree of its surface points.
         sample: (n, 3) even selection of the surface points.
+        sample_upright: (n,) which of these lie on upright faces.
         depth_min, depth_max: (h, w) smallest and largest valid depth in 3 x 3 pixels, 0 unknown.
         raster: its top-down rasters.
     """
@@ -27,6 +30,7 @@ class PreparedScan:
     scan: CompletedScan
     tree: cKDTree
     sample: Array
+    sample_upright: BoolArray
     depth_min: FloatArray
     depth_max: FloatArray
     raster: TopDown
@@ -35,9 +39,10 @@ class PreparedScan:
 def prepare(scan: CompletedScan, sample: int = 1000) -> PreparedScan:
     """Search structures of one scan; ``sample`` points are kept for visibility checks."""
     points = scan.surface.points
-    chosen = points[:: max(1, len(points) // sample)]
+    chosen = slice(None, None, max(1, len(points) // sample))
+    upright = np.abs(scan.surface.normals[chosen] @ scan.levelling.level_R_scan[2]) < UPRIGHT_COS
     low, high = _depth_bounds(scan.depth)
-    return PreparedScan(scan, cKDTree(points), chosen, low, high, top_down(scan))
+    return PreparedScan(scan, cKDTree(points), points[chosen], upright, low, high, top_down(scan))
 
 
 def _depth_bounds(depth: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -99,13 +99,13 @@ def round_greedily(vector: Array, matrix: sparse.csr_matrix, matches: CandidateM
 
 def agreeing(matches: CandidateMatches, target_T_source: Array, scale: float) -> BoolArray:
     """Which correspondences a pose explains: distance within ``scale`` times the kind's length
-    scale and normals within 45 degrees."""
+    scale and normals, where known, within 45 degrees."""
     moved = se3.transform(target_T_source, matches.source)
     turned = se3.rotate(target_T_source, matches.source_normals)
     distance = np.linalg.norm(moved - matches.target, axis=1)
     cosine = (turned * matches.target_normals).sum(axis=1)
     near = distance < scale * matches.scale("length_m")
-    return np.asarray(near & (cosine > MAX_NORMAL_COS))
+    return np.asarray(near & ((cosine > MAX_NORMAL_COS) | ~matches.normals_known))
 
 
 def _fit(matches: CandidateMatches, matrix: sparse.csr_matrix, chosen: IntArray) -> PoseHypothesis:

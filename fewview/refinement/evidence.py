@@ -26,12 +26,14 @@ NEAR_M = 0.08
 MAX_POINTS = 1200
 VISIBLE_TOLERANCE_M = 0.05
 VISIBLE_TOLERANCE_RELATIVE = 0.02
+FEW_POINTS = 6.0
 
 
 def gather(
     source: PreparedScan,
     target: PreparedScan,
     poses: Array,
+    covariance: Array,
     matches: CandidateMatches,
     support: BoolArray,
     origins: Sequence[CandidateOrigin],
@@ -41,7 +43,7 @@ def gather(
 
     Args:
         source, target: the scans.
-        poses: (K, 4, 4) target_T_source.
+        poses: (K, 4, 4) target_T_source; covariance: (K, 6, 6) of each.
         matches: (m) candidate correspondences; support: (K, m) which agree with each pose.
         origins, scores: where each pose came from and its score there.
     """
@@ -53,6 +55,7 @@ def gather(
     planes = per_kind.get("planes", np.zeros(len(poses), dtype=np.int64))
     points = sum(per_kind.values()) - planes
     lead = np.clip(np.log1p(points) - _best_other(np.log1p(points)), -2.0, 2.0)
+    geometry_alone = np.exp(-points / FEW_POINTS)
     columns = {
         **{name: np.log1p(count) for name, count in per_kind.items()},
         "share": points / (10.0 + len(matches)),
@@ -64,12 +67,17 @@ def gather(
         "visible": np.log1p(visible.count),
         "on_surface": visible.on_surface,
         "violation": np.sqrt(visible.in_front),
+        "upright": visible.upright_on_surface,
+        "upright_seen": np.log1p(visible.upright_count),
+        "looseness": _looseness(covariance),
         "tilt": np.minimum(tilt, 0.35),
         "floor_gap": np.minimum(floor_gap, 0.5),
         "yaw": yaw,
         "manhattan": np.array([o is CandidateOrigin.MANHATTAN for o in origins], dtype=float),
     }
     columns["raster"] = columns["manhattan"] * scores / 100.0
+    for name in ("overlap", "upright", "violation", "looseness", "colour"):
+        columns[f"alone_{name}"] = geometry_alone * columns[name]
     return [
         Evidence(
             float(surface.residual_m[k]),
@@ -154,23 +162,32 @@ class Visibility:
         count: (K,) points that fall on measured pixels.
         on_surface: (K,) share of these on the measured surface.
         in_front: (K,) share of these in front of it, in space that was seen to be free.
+        upright_count, upright_on_surface: the same for points on upright faces alone; floors and
+            ceilings agree under any levelled pose.
     """
 
     count: Array
     on_surface: Array
     in_front: Array
+    upright_count: Array
+    upright_on_surface: Array
 
 
 def visible_agreement(source: PreparedScan, target: PreparedScan, poses: Array) -> Visibility:
     """Look at each scan's points through the other's camera under (K, 4, 4) poses."""
-    seen = _seen_by(target, se3.transform(poses, source.sample))
-    seen = seen + _seen_by(source, se3.transform(se3.inverse(poses), target.sample))
-    total = np.maximum(seen[0], 1)
-    return Visibility(seen[0], seen[1] / total, seen[2] / total)
+    seen = _seen_by(target, se3.transform(poses, source.sample), source.sample_upright)
+    inverse = se3.inverse(poses)
+    seen += _seen_by(source, se3.transform(inverse, target.sample), target.sample_upright)
+    count, on_surface, in_front, upright, upright_on = seen
+    total = np.maximum(count, 1)
+    return Visibility(
+        count, on_surface / total, in_front / total, upright, upright_on / np.maximum(upright, 1)
+    )
 
 
-def _seen_by(scan: PreparedScan, points: Array) -> Array:
-    """(3, K) numbers of points (K, n, 3) that are measured, on the surface, in front of it."""
+def _seen_by(scan: PreparedScan, points: Array, upright: BoolArray) -> Array:
+    """(5, K) numbers of points (K, n, 3) that are measured, on the surface and in front of it, and
+    of upright ones that are measured and on the surface."""
     pixels, inside = project(points, scan.scan.intrinsics)
     columns = np.where(inside, np.rint(pixels[..., 0]), 0).astype(int)
     rows = np.where(inside, np.rint(pixels[..., 1]), 0).astype(int)
@@ -179,7 +196,8 @@ def _seen_by(scan: PreparedScan, points: Array) -> Array:
     tolerance = VISIBLE_TOLERANCE_M + VISIBLE_TOLERANCE_RELATIVE * z
     in_front = measured & (z < near - tolerance)
     on_surface = measured & ~in_front & (z < far + tolerance)
-    return np.stack([x.sum(axis=-1) for x in (measured, on_surface, in_front)]).astype(np.float64)
+    kinds = (measured, on_surface, in_front, measured & upright, on_surface & upright)
+    return np.stack([x.sum(axis=-1) for x in kinds]).astype(np.float64)
 
 
 def gravity_disagreement(
@@ -216,6 +234,12 @@ def _by_representation(per_kind: dict[str, IntArray], k: int) -> dict[Representa
     for kind in KINDS:
         counts[kind.representation] += int(per_kind[kind.name][k])
     return counts
+
+
+def _looseness(covariance: Array) -> Array:
+    """(K,) log10 of the largest standard deviation of the translation, in 0.1 mm, capped."""
+    variance = np.linalg.eigvalsh(covariance[:, 3:, 3:])[:, -1]
+    return np.asarray(np.clip(np.log10(np.sqrt(variance) / 1e-4), 0.0, 4.0))
 
 
 def _spread(points: Array) -> float:
