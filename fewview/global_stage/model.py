@@ -16,7 +16,8 @@ else" as the state of scans in different components, the log posterior of a labe
 A single candidate joins two scans with S = log(p / (1 - P)) - logit(p_min): the posterior odds
 against "elsewhere", measured from the least probability p_min that is accepted. Every further
 candidate that agrees adds log r, far above zero even for a weak one: loops decide where no pair
-can be trusted alone. v and the ceiling on P bound what a single pair can claim. This is the
+can be trusted alone. Manhattan candidates have a larger v of their own: wrong ones often agree, as
+they choose among the same four yaws and fit the same walls. v and the ceiling on P bound what a single pair can claim. This is the
 discrete stage of Crandall et al. (PAMI 2013) with whole candidates in place of separate rotation
 and translation terms.
 """
@@ -32,7 +33,7 @@ import numpy as np
 
 from fewview.config import GlobalConfig
 from fewview.geometry import se3
-from fewview.types import Array, IntArray, PairResult
+from fewview.types import Array, CandidateOrigin, IntArray, PairResult
 
 MAX_PAIR_PROBABILITY = 0.99
 """No pair is surer than this, whatever its candidates add up to."""
@@ -90,7 +91,9 @@ def build(scans: int, pairs: Sequence[PairResult], config: GlobalConfig) -> Prob
     shrink = np.minimum(1.0, MAX_PAIR_PROBABILITY / np.maximum(total, 1e-12))
     probability = probability * shrink[index[:, 2]]
     elsewhere = 1.0 - np.minimum(total, MAX_PAIR_PROBABILITY)
-    evidence = probability / (elsewhere[index[:, 2]] * config.chance_agreement)
+    manhattan = np.array([row[4].origin is CandidateOrigin.MANHATTAN for row in rows], dtype=bool)
+    chance = np.where(manhattan, config.manhattan_chance_agreement, config.chance_agreement)
+    evidence = probability / (elsewhere[index[:, 2]] * chance)
     keep = np.flatnonzero(evidence > 1.0)
     kept = [rows[i][4] for i in keep]
     motions = [candidate.target_T_source for candidate in kept]
