@@ -21,7 +21,6 @@ from fewview.types import (
     Surface,
 )
 
-
 MIN_DEPTHS = 2
 
 

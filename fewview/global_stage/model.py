@@ -17,9 +17,9 @@ A single candidate joins two scans with S = log(p / (1 - P)) - logit(p_min): the
 against "elsewhere", measured from the least probability p_min that is accepted. Every further
 candidate that agrees adds log r, far above zero even for a weak one: loops decide where no pair
 can be trusted alone. Manhattan candidates have a larger v of their own: wrong ones often agree, as
-they choose among the same four yaws and fit the same walls. v and the ceiling on P bound what a single pair can claim. This is the
-discrete stage of Crandall et al. (PAMI 2013) with whole candidates in place of separate rotation
-and translation terms.
+they choose among the same four yaws and fit the same walls. v and the ceiling on P bound what a
+single pair can claim. This is the discrete stage of Crandall et al. (PAMI 2013) with whole
+candidates in place of separate rotation and translation terms.
 """
 
 from __future__ import annotations

@@ -19,8 +19,9 @@ from fewview.matching.rigid import fit_rigid
 from fewview.types import Array, BoolArray, IntArray
 
 MIN_SET = 3
+ROUNDS_PER_POSE = 2
 MIN_AGREEMENT = 0.5
-MAX_POWER_ITERATIONS = 60
+MAX_POWER_ITERATIONS = 30
 REFITS = 3
 INLIER_SCALE = 2.0
 MAX_NORMAL_COS = np.cos(np.radians(45.0))
@@ -47,7 +48,7 @@ def top_poses(
     """Up to ``count`` poses from the strongest consistent sets, strongest first."""
     alive = np.ones(len(matches), dtype=bool)
     poses: list[PoseHypothesis] = []
-    while len(poses) < count:
+    for _ in range(ROUNDS_PER_POSE * count):
         vector = leading_eigenvector(consistency, alive)
         chosen = round_greedily(vector, consistency, matches)
         if len(chosen) < MIN_SET:
@@ -58,12 +59,14 @@ def top_poses(
         alive[chosen] = False
         if len(hypothesis.inliers) >= MIN_SET:
             poses.append(hypothesis)
+        if len(poses) == count:
+            break
     return poses
 
 
 def leading_eigenvector(matrix: sparse.csr_matrix, alive: BoolArray) -> Array:
     """The leading eigenvector of the matrix restricted to ``alive``, non-negative, unit length."""
-    mask = alive.astype(np.float64)
+    mask = alive.astype(matrix.dtype)
     vector = mask * np.asarray(matrix @ mask)
     for _ in range(MAX_POWER_ITERATIONS):
         norm = np.linalg.norm(vector)
