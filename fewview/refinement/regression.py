@@ -24,8 +24,9 @@ from fewview.geometry import se3
 from fewview.refinement.relations import Relations
 from fewview.types import Array, Surface
 
-MAX_QUERY_POINTS = 1200
+MAX_QUERY_POINTS = 800
 DAMPING = 1e-3
+SMALL_STEP = 2e-4
 POINTS_PER_INDEPENDENT_ONE = 10.0
 MAX_STEP = np.array([0.3, 0.3, 0.3, 0.5, 0.5, 0.5])
 
@@ -103,7 +104,7 @@ def refine(
             terms = list(_terms(poses, pairs, relations, matches, config))
             step = _gauss_newton_step(terms)
             poses = se3.exp(step) @ poses
-            if np.abs(step).max(initial=0.0) < 1e-5:
+            if np.abs(step).max(initial=0.0) < SMALL_STEP:
                 break
     poses[:, :3, :3] = se3.nearest_rotation(poses[:, :3, :3])
     covariance = _covariance(list(_terms(poses, pairs, relations, matches, config)), poses)
@@ -219,8 +220,8 @@ def coplanar_term(
     n_q = np.broadcast_to(n_q, x.shape)
     gap = x - q
     residual = np.stack([(gap * n_q).sum(axis=-1), (gap * m).sum(axis=-1)], axis=-1)
-    row_a = np.concatenate([np.cross(x, n_q), n_q], axis=-1)
-    row_b = np.concatenate([np.cross(np.broadcast_to(q, x.shape), m), m], axis=-1)
+    row_a = np.concatenate([_cross(x, n_q), n_q], axis=-1)
+    row_b = np.concatenate([_cross(q, m), m], axis=-1)
     return _Term(residual, np.stack([row_a, row_b], axis=-2), weight, alpha)
 
 
@@ -231,7 +232,7 @@ def parallel_term(poses: Array, n_p: Array, n_q: Array, weight: Array, alpha: fl
     cosine = (m * n_q).sum(axis=-1)[..., None, None]
     turn = m[..., :, None] * n_q[..., None, :] - cosine * np.eye(3)
     return _Term(
-        np.cross(m, n_q), np.concatenate([turn, np.zeros_like(turn)], axis=-1), weight, alpha
+        _cross(m, n_q), np.concatenate([turn, np.zeros_like(turn)], axis=-1), weight, alpha
     )
 
 
@@ -239,7 +240,7 @@ def perpendicular_term(poses: Array, n_p: Array, n_q: Array, weight: Array, alph
     """f = (R n_p . n_q)^2."""
     m = se3.rotate(poses, n_p)
     n_q = np.broadcast_to(n_q, m.shape)
-    turn = np.cross(m, n_q)
+    turn = _cross(m, n_q)
     jacobian = np.concatenate([turn, np.zeros_like(turn)], axis=-1)[..., None, :]
     return _Term((m * n_q).sum(axis=-1, keepdims=True), jacobian, weight, alpha)
 
@@ -249,6 +250,14 @@ def point_term(poses: Array, p: Array, q: Array, weight: Array, alpha: float) ->
     x = se3.transform(poses, p)
     identity = np.broadcast_to(np.eye(3), (*x.shape, 3))
     return _Term(x - q, np.concatenate([-se3.hat(x), identity], axis=-1), weight, alpha)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross product over the last axis; several times quicker than NumPy's on small batches."""
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
+    return out
 
 
 def _normal_equations(terms: list[_Term]) -> tuple[Array, Array]:
