@@ -20,7 +20,7 @@ from fewview.errors import ConfigError
 class FeatureConfig:
     """Features of what a scan shows."""
 
-    max_keypoints: int = 768
+    max_keypoints: int = 640
     """Learned keypoints kept per scan."""
     max_sift: int = 600
     """SIFT keypoints kept per scan."""
@@ -56,7 +56,7 @@ class RefinementConfig:
 
     iterations: int = 3
     """Alternations between nearest neighbours and Gauss-Newton."""
-    gauss_newton_steps: int = 4
+    gauss_newton_steps: int = 3
     """Gauss-Newton steps per alternation."""
     neighbour_m: tuple[float, ...] = (0.20, 0.12, 0.08)
     """Largest distance of a nearest-neighbour pair, per alternation."""

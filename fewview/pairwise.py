@@ -29,7 +29,6 @@ from fewview.types import (
 )
 
 CERTAIN_INLIERS = 40
-MIN_RELATIVE_SCORE = 0.005
 MIN_BELIEVABLE = 0.05
 SUPPORT_SCALE = 2.0
 
@@ -116,7 +115,6 @@ def _propose(
 ) -> tuple[Array, list[CandidateOrigin], Array]:
     """Initial poses (K, 4, 4), where they come from and their scores (K,)."""
     spectral = top_poses(matches, consistency_matrix(matches), config.matching.top_k)
-    spectral = [h for h in spectral if h.score > MIN_RELATIVE_SCORE * spectral[0].score]
     poses = [(h.target_T_source, h.score) for h in spectral]
     origins = [CandidateOrigin.SPECTRAL] * len(poses)
     strongest = max((len(h.inliers) for h in spectral), default=0)

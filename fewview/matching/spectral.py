@@ -20,6 +20,7 @@ from fewview.types import Array, BoolArray, IntArray
 
 MIN_SET = 3
 ROUNDS_PER_POSE = 2
+MIN_RELATIVE_SCORE = 0.005
 MIN_AGREEMENT = 0.5
 MAX_POWER_ITERATIONS = 30
 REFITS = 3
@@ -45,7 +46,8 @@ class PoseHypothesis:
 def top_poses(
     matches: CandidateMatches, consistency: sparse.csr_matrix, count: int
 ) -> list[PoseHypothesis]:
-    """Up to ``count`` poses from the strongest consistent sets, strongest first."""
+    """Up to ``count`` poses from the strongest consistent sets, strongest first; sets that are
+    hopeless beside the strongest are not followed up."""
     alive = np.ones(len(matches), dtype=bool)
     poses: list[PoseHypothesis] = []
     for _ in range(ROUNDS_PER_POSE * count):
@@ -54,6 +56,8 @@ def top_poses(
         if len(chosen) < MIN_SET:
             break
         hypothesis = _fit(matches, consistency, chosen)
+        if poses and hypothesis.score < MIN_RELATIVE_SCORE * poses[0].score:
+            break
         explained = agreeing(matches, hypothesis.target_T_source, INLIER_SCALE)
         alive &= ~explained
         alive[chosen] = False
