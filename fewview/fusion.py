@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
@@ -28,6 +29,10 @@ _VOXEL_RANGE_M = (0.004, 0.05)
 _MIN_COSINE = 0.2
 _MIN_PIECE_M2 = 0.01
 _MIN_PIECE_SHARE = 0.01
+_MIN_PIECE_PIXELS = 400
+_PINHOLE_WINDOW = 5
+_PINHOLE_VALID = 18  # of the 24 neighbours: no pixel of a hole of 3 x 3 or more has as many
+_PINHOLE_SPREAD = 0.05
 
 
 @dataclass(frozen=True)
@@ -64,14 +69,34 @@ def fuse(frames: Iterable[tuple[Frame, Array]], config: FusionConfig) -> Coloure
     voxel, blocks = _allocate(views, config)
     mesh = _canonical(_integrate(views, blocks, voxel))
     seen = _measured(mesh, views, _TRUNCATION_VOXELS * voxel)
-    return _without_floaters(_keep(mesh, seen[mesh.faces].sum(axis=1) >= 2))
+    mesh = _keep(mesh, seen[mesh.faces].sum(axis=1) >= 2)
+    return _without_floaters(mesh, views, _TRUNCATION_VOXELS * voxel)
 
 
 def trusted_depth(frame: Frame, max_depth_m: float) -> FloatArray:
-    """Depth (H, W) in metres, 0 where invalid, beyond ``max_depth_m`` or beside a depth edge."""
-    valid = np.isfinite(frame.depth) & (frame.depth > 0.0) & (frame.depth <= max_depth_m)
-    depth = np.where(valid, frame.depth, np.float32(0.0))
+    """Depth (H, W) in metres, 0 where invalid, beyond ``max_depth_m`` or beside a depth edge.
+
+    Pinholes of a few pixels in a smooth surface are filled: a voxel is wider than they are, so
+    each would leave a much larger hole in the mesh.
+    """
+    valid = np.isfinite(frame.depth) & (frame.depth > 0.0)
+    depth = _without_pinholes(np.where(valid, frame.depth, np.float32(0.0)))
+    depth = np.where(depth <= max_depth_m, depth, np.float32(0.0))
     return np.where(depth_edges(depth), np.float32(0.0), depth)
+
+
+def _without_pinholes(depth: FloatArray) -> FloatArray:
+    """Depth (H, W) with the mean of the neighbours where most are valid and they all agree."""
+    valid, size = depth > 0.0, (_PINHOLE_WINDOW, _PINHOLE_WINDOW)
+    count, total = (
+        cv2.boxFilter(image, -1, size, normalize=False, borderType=cv2.BORDER_REFLECT_101)
+        for image in (valid.astype(np.float32), depth)
+    )
+    nearest = cv2.erode(np.where(valid, depth, np.float32(np.inf)), np.ones(size))
+    farthest = cv2.dilate(depth, np.ones(size))
+    pinhole = ~valid & (count >= _PINHOLE_VALID)
+    pinhole &= farthest - nearest <= _PINHOLE_SPREAD * nearest
+    return np.where(pinhole, total / np.maximum(count, 1.0), depth).astype(np.float32)
 
 
 def data_voxel(depths: FloatArray, focal_px: float) -> float:
@@ -175,14 +200,19 @@ def _measured(mesh: ColouredMesh, views: list[_View], tolerance_m: float) -> Boo
     seen = np.zeros(len(mesh.vertices), dtype=bool)
     for view in views:
         left = np.flatnonzero(~seen)
-        scan_T_world = se3.inverse(view.world_T_scan)
-        points = se3.transform(scan_T_world, mesh.vertices[left])
-        pixels, inside = project(points, view.frame.intrinsics)
-        u, v = np.rint(np.where(inside[:, None], pixels, 0.0)).astype(np.int64).T
-        agrees = inside & (np.abs(view.depth[v, u] - points[:, 2]) < tolerance_m)
-        towards = -np.einsum("ni,ni->n", se3.rotate(scan_T_world, normals[left]), points)
+        points, agrees = _compare(mesh.vertices[left], view, tolerance_m)
+        turned = se3.rotate(se3.inverse(view.world_T_scan), normals[left])
+        towards = -np.einsum("ni,ni->n", turned, points)
         seen[left] = agrees & (towards > _MIN_COSINE * np.linalg.norm(points, axis=1))
     return seen
+
+
+def _compare(world: Array, view: _View, tolerance_m: float) -> tuple[Array, BoolArray]:
+    """World points (n, 3) in a view's frame, and which (n,) lie on what the view measured."""
+    points = se3.transform(se3.inverse(view.world_T_scan), world)
+    pixels, inside = project(points, view.frame.intrinsics)
+    u, v = np.rint(np.where(inside[:, None], pixels, 0.0)).astype(np.int64).T
+    return points, inside & (np.abs(view.depth[v, u] - points[:, 2]) < tolerance_m)
 
 
 def _smooth_normals(mesh: ColouredMesh) -> Array:
@@ -204,16 +234,42 @@ def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.maximum(length, 1e-12))
 
 
-def _without_floaters(mesh: ColouredMesh) -> ColouredMesh:
-    """Drop connected pieces smaller than `_MIN_PIECE_M2` (of small scenes, a share of all)."""
+def _without_floaters(mesh: ColouredMesh, views: list[_View], tolerance_m: float) -> ColouredMesh:
+    """Drop connected pieces small in area (in small scenes, in share of it) and in pixels.
+
+    Near the camera even a small piece is measured by many pixels and no accident.
+    """
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    normals = 0.5 * np.cross(b - a, c - a)
+    area = np.linalg.norm(normals, axis=1)
     links = (np.ones(2 * len(mesh.faces)), (mesh.faces[:, :2].ravel(), mesh.faces[:, 1:].ravel()))
     graph = coo_array(links, shape=(len(mesh.vertices), len(mesh.vertices)))
     piece = connected_components(graph, directed=False)[1][mesh.faces[:, 0]]
     size = np.bincount(piece, weights=area)
     smallest = min(_MIN_PIECE_M2, _MIN_PIECE_SHARE * float(area.sum()))
-    return _keep(mesh, size[piece] >= smallest)
+    small = np.flatnonzero(size[piece] < smallest)
+    pixels = _pixels(((a + b + c) / 3.0)[small], normals[small], views, tolerance_m)
+    measured = np.bincount(piece[small], weights=pixels, minlength=len(size))
+    return _keep(mesh, (size >= smallest)[piece] | (measured >= _MIN_PIECE_PIXELS)[piece])
+
+
+def _pixels(centres: Array, normals: Array, views: list[_View], tolerance_m: float) -> Array:
+    """How many pixels of all views fall on each face (n,), from its size in the images.
+
+    Args:
+        centres: (n, 3) of the faces, world.
+        normals: (n, 3) as long as the faces are large, world.
+        views: the scans; a face counts where it lies on what a view measured.
+        tolerance_m: along the optical axis.
+    """
+    pixels = np.zeros(len(centres))
+    for view in views:
+        points, agrees = _compare(centres, view, tolerance_m)
+        turned = se3.rotate(se3.inverse(view.world_T_scan), normals)
+        facing = np.abs(np.einsum("ni,ni->n", turned, points))
+        focal = view.frame.intrinsics.fx * view.frame.intrinsics.fy
+        pixels += np.where(agrees, focal * facing / np.maximum(points[:, 2], 1e-3) ** 3, 0.0)
+    return pixels
 
 
 def _keep(mesh: ColouredMesh, chosen: BoolArray) -> ColouredMesh:

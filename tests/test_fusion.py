@@ -51,7 +51,7 @@ def around(angle: float) -> Array:
 def box_depth() -> FloatArray:
     """Depth inside a 3 x 2.4 x 3 m box, from its centre."""
     rays = backproject(np.ones((CAMERA.height, CAMERA.width), np.float32), CAMERA)
-    return np.min(np.array([1.5, 1.2, 1.5]) / np.maximum(np.abs(rays), 1e-9), axis=-1)
+    return np.asarray(np.min(np.array([1.5, 1.2, 1.5]) / np.maximum(np.abs(rays), 1e-9), axis=-1))
 
 
 def area(mesh: ColouredMesh) -> float:
@@ -150,12 +150,40 @@ def test_pixels_beside_depth_edges_are_not_trusted() -> None:
 def test_far_and_invalid_depth_is_not_trusted() -> None:
     depth = wall(2.0)
     depth[:, :20] = 5.0
-    depth[:, 30] = np.nan
-    depth[:, 40] = np.inf
-    depth[:, 50] = -1.0
+    depth[:, 30:33] = np.nan
+    depth[:, 40:43] = np.inf
+    depth[:, 50:53] = -1.0
     trusted = trusted_depth(frame_of(depth), max_depth_m=4.5)
     assert set(np.unique(trusted)) == {0.0, 2.0}
-    assert not trusted[:, [0, 19, 30, 40, 50]].any()
+    assert not trusted[:, [0, 19, 30, 31, 32, 40, 41, 42, 50, 51, 52]].any()
+
+
+def test_pinholes_are_filled_and_nothing_else() -> None:
+    rows = np.indices((CAMERA.height, CAMERA.width))[0]
+    depth = (2.0 + 0.002 * rows).astype(np.float32)
+    depth[:, 100:] = 3.0
+    whole = depth.copy()
+    pinholes = [(20, 20), (50, 40), (50, 41), (70, 60), (70, 61), (71, 60), (71, 61)]
+    for v, u in pinholes:
+        depth[v, u] = 0.0
+    depth[30:33, 70:73] = np.nan
+    depth[60, 98] = 0.0
+    trusted = trusted_depth(frame_of(depth), max_depth_m=4.5)
+    for v, u in pinholes:
+        assert trusted[v, u] == pytest.approx(whole[v, u], abs=0.002)
+    assert not trusted[30:33, 70:73].any()
+    assert trusted[60, 98] == 0.0
+    unchanged = np.ones(depth.shape, dtype=bool)
+    unchanged[:, 98:102] = False
+    unchanged &= depth > 0
+    assert np.array_equal(trusted[unchanged], depth[unchanged])
+
+
+def test_pepper_leaves_no_holes() -> None:
+    pepper = np.random.default_rng(0).random((CAMERA.height, CAMERA.width)) < 0.005
+    peppered = fuse([(frame_of(np.where(pepper, 0.0, wall(2.0))), HERE)], FusionConfig())
+    whole = fuse([(frame_of(wall(2.0)), HERE)], FusionConfig())
+    assert area(peppered) > 0.999 * area(whole)
 
 
 def test_a_small_floater_goes_and_a_large_piece_stays() -> None:
@@ -167,6 +195,18 @@ def test_a_small_floater_goes_and_a_large_piece_stays() -> None:
     u, v = pixels.T
     assert not np.any((u < 20) & (v < 20))
     assert np.any((u < 60) & (v > 40))
+
+
+@pytest.mark.parametrize(("z", "side", "kept"), [(0.6, 70, True), (2.5, 16, False)])
+def test_a_small_piece_stays_when_many_pixels_measured_it(z: float, side: int, kept: bool) -> None:
+    """Both pieces are smaller than the least area, only the near one rests on many pixels."""
+    camera = CAMERA.resized(640, 480)
+    depth = np.full((480, 640), 3.0, np.float32)
+    depth[:, :300] = 0.0
+    depth[100 : 100 + side, 100 : 100 + side] = z
+    assert (side * z / camera.fx) ** 2 < 0.01
+    mesh = fuse([(Frame(np.zeros((480, 640, 3), np.uint8), depth, camera), HERE)], FusionConfig())
+    assert bool(np.any(np.abs(mesh.vertices[:, 2] - z) < 0.03)) == kept
 
 
 def test_the_memory_bound_enlarges_the_voxel() -> None:
