@@ -49,11 +49,14 @@ class Progress:
 
     def solved(self, solution: GlobalSolution) -> None:
         self._end()
-        placed = sum(p.placed for p in solution.placements)
+        components = solution.components
+        largest = len(components[0].scans) if components else 0
+        where = (
+            "placed" if len(components) < 2 else f"in the largest of {len(components)} components"
+        )
         self._say(
             f"{self.believable} of {self.total} pairs believable; "
-            f"{placed} of {len(solution.placements)} scans placed "
-            f"in {len(solution.components)} component(s)"
+            f"{largest} of {len(solution.placements)} scans {where}"
         )
         for placement in solution.placements:
             if not placement.placed:

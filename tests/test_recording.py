@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -318,8 +319,48 @@ def test_log_and_summary(read: Read) -> None:
     assert any("depth in millimetres" in line for line in lines)
     first, *_, last = (text[0] for text in read("/summary", "TextDocument:text"))
     assert first.startswith("# 5 scans")
-    assert last.startswith("# 4 of 5 scans placed")
+    assert last.startswith("# 2 of 5 scans in the largest of 2 components\n")
+    assert "2 of 5 scans in the largest of 2 components" in lines
     assert "features" in last
+
+
+def test_headline_of_one_component_and_of_none() -> None:
+    solution = _solution()
+    first = tuple(ScanPlacement(n, None, None, 0.0, REASON) for n in NAMES[2:])
+    one = replace(
+        solution,
+        placements=(*solution.placements[:2], *first),
+        components=solution.components[:1],
+    )
+    assert tables.headline(one) == "2 of 5 scans placed"
+    assert tables.headline(replace(one, components=())) == "0 of 5 scans placed"
+
+
+def test_reasons_stand_below_the_tables() -> None:
+    lines = tables.answer(_solution()).splitlines()
+    assert f"**{NAMES[UNPLACED]}**: {REASON}" in lines
+    assert not any("note" in line or REASON in line for line in lines if line.startswith("|"))
+
+
+@given(
+    st.integers(0, 1000),
+    st.tuples(*[st.floats(0.5, 8.0)] * 3),
+    st.tuples(*[st.floats(-4.0, 4.0)] * 3),
+)
+def test_the_eye_sees_all_cameras_and_walls(
+    seed: int, size: tuple[float, ...], middle: tuple[float, ...]
+) -> None:
+    rng = np.random.default_rng(seed)
+    walls = np.stack(np.meshgrid(*[(0.0, 1.0)] * 3), axis=-1).reshape(-1, 3).repeat(20, axis=0)
+    centres = rng.uniform(-1.0, 1.0, (4, 3)) + middle
+    eye = layout.eye(np.concatenate([walls * size, centres]), centres)
+    forward = (eye.target - eye.position) / np.linalg.norm(eye.target - eye.position)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    seen = np.concatenate([walls * size, centres]) - eye.position
+    x, y, z = (seen @ axis for axis in (right, np.cross(forward, right), forward))
+    assert (z > 0).all()
+    assert np.maximum(np.abs(x / z), np.abs(y / z)).max() == pytest.approx(layout.HALF_VIEW)
 
 
 def test_rerun_accepts_the_file(recording: Path) -> None:

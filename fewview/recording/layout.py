@@ -17,7 +17,8 @@ from fewview.types import Array
 TIMELINE = "step"
 UNPLACED = "unplaced"
 MAX_PAIR_VIEWS = 8
-
+HALF_VIEW = 0.9 * float(np.tan(np.radians(55.0 / 2)))
+"""Tangent of half the viewer's vertical field of view, less a margin for labels and frusta."""
 
 _LOG_COLUMNS = rrb.TextLogColumns(
     text_log_columns=[TextLogColumn("LogLevel"), TextLogColumn("Body")]
@@ -87,14 +88,28 @@ def short(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def eye(points: Array, centres: Array) -> Eye:
-    """Look from behind and above the cameras (n, 3) at the middle of the points (m, 3)."""
-    seen = np.concatenate([np.percentile(points, [2, 98], axis=0), centres])
+    """Look from behind and above the cameras (n, 3) at the points (m, 3), as near as shows all.
+
+    The outermost percent of the points does not count: stray ones would push the eye far away.
+    """
+    seen = np.concatenate([np.percentile(points, [0.5, 99.5], axis=0), centres])
     low, high = seen.min(axis=0), seen.max(axis=0)
+    shown = np.concatenate([points[np.all((points >= low) & (points <= high), axis=1)], centres])
     target, size = (low + high) / 2, float(np.linalg.norm(high - low))
     behind = (centres.mean(axis=0) - points.mean(axis=0)) * (1.0, 1.0, 0.0)
     length = float(np.linalg.norm(behind))
     direction = behind / length if length > 0.05 * size else np.array([-0.6, -0.8, 0.0])
-    return Eye(target + size * (0.6 * direction + np.array([0.0, 0.0, 0.55])), target)
+    backwards = 0.74 * direction + np.array([0.0, 0.0, 0.67])
+    backwards /= np.linalg.norm(backwards)
+    return Eye(target + _distance(shown - target, backwards) * backwards, target)
+
+
+def _distance(offsets: Array, backwards: Array) -> float:
+    """How far from the target an eye sees all offsets (n, 3) in a picture as high as wide."""
+    right = np.cross([0.0, 0.0, 1.0], backwards)
+    right /= np.linalg.norm(right)
+    across = np.abs(offsets @ np.stack([right, np.cross(backwards, right)], axis=1)).max(axis=1)
+    return float((across / HALF_VIEW + offsets @ backwards).max())
 
 
 def blueprint(

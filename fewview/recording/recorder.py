@@ -111,8 +111,7 @@ class Recorder:
         gallery = answer.log_unplaced(stream, scans, solution)
         shown = answer.log_pairs(stream, scans, pairs, solution)
         self._answer = tables.answer(solution)
-        placed = sum(p.placed for p in solution.placements)
-        self.log(f"{placed} of {len(scans)} scans placed, components: {len(spaces)}")
+        self.log(tables.headline(solution))
         scene.log_text(self._stream, "summary", self._answer)
         scene.log_text(
             self._stream,

@@ -32,14 +32,22 @@ def inputs(scans: ScanSet) -> str:
 
 def answer(solution: GlobalSolution) -> str:
     """Which scans were placed, how surely, and why the others were not."""
-    placed = sum(p.placed for p in solution.placements)
-    parts = [f"# {placed} of {len(solution.placements)} scans placed"]
+    parts = [f"# {headline(solution)}"]
     parts += [_component(i, solution) for i in range(len(solution.components))]
     unplaced = [p for p in solution.placements if not p.placed]
     if unplaced:
-        rows = ((p.name, _percent(p.probability), p.reason or "") for p in unplaced)
-        parts.append("## Not placed\n\n" + _table(("scan", "probability", "reason"), rows))
+        rows = ((p.name, _percent(p.probability)) for p in unplaced)
+        parts += ["## Not placed", _table(("scan", "probability"), rows)]
+        parts += [f"**{escaped(p.name)}**: {escaped(p.reason)}" for p in unplaced if p.reason]
     return "\n\n".join(parts)
+
+
+def headline(solution: GlobalSolution) -> str:
+    """How many scans share one world, and of how many components that is the largest."""
+    components = solution.components
+    largest = len(components[0].scans) if components else 0
+    where = "placed" if len(components) < 2 else f"in the largest of {len(components)} components"
+    return f"{largest} of {len(solution.placements)} scans {where}"
 
 
 def candidates(
@@ -108,19 +116,14 @@ def _component(index: int, solution: GlobalSolution) -> str:
     )
     members = [solution.placements[i] for i in component.scans]
     rows = (_placement(p) for p in members)
-    table = _table(("scan", "probability", "position (m)", "note"), rows)
+    table = _table(("scan", "probability", "position (m)"), rows)
     return f"## Component {index}: {len(members)} scans, {frame}\n\n{link}\n\n{table}"
 
 
 def _placement(placement: ScanPlacement) -> tuple[str, ...]:
     pose = placement.world_T_scan
     position = "" if pose is None else ", ".join(f"{x:.2f}" for x in pose[:3, 3])
-    return (
-        placement.name,
-        _percent(placement.probability),
-        position,
-        placement.reason or "",
-    )
+    return placement.name, _percent(placement.probability), position
 
 
 def _percent(share: float) -> str:
