@@ -1,6 +1,6 @@
 """Fit the candidate probabilities on validation scenes and store them in the package.
 
-    python scripts/fit_probability.py --rooms 12 --scene FOLDER ... --check FOLDER ...
+    python scripts/fit_probability.py --scene FOLDER ... --check FOLDER ...
 
 Validation scenes are generated rooms of the validation split and folders given with --scene;
 folders given with --check are never fitted to, they only show how the result carries over.
@@ -74,8 +74,8 @@ class Pair:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rooms", type=int, default=12)
-    parser.add_argument("--views", type=int, default=10)
+    parser.add_argument("--rooms", type=int, default=24)
+    parser.add_argument("--views", type=int, default=8)
     parser.add_argument("--scene", type=Path, nargs="*", default=[])
     parser.add_argument("--check", type=Path, nargs="*", default=[])
     parser.add_argument("--cache", type=Path, default=Path("results/probability"))

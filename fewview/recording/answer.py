@@ -43,7 +43,7 @@ def log_components(
         _log_pose_graphs(stream, layout.path(root, "pose_graph"), pairs, solution, poses)
         surface = np.concatenate([se3.transform(p, scans[i].points) for i, p in poses.items()])
         eye = layout.eye(np.concatenate([surface, centres]), centres)
-        spaces.append(Space(index, tuple(scans[i].name for i in poses), eye))
+        spaces.append(Space(index, tuple(scans[i].name for i in poses), centres, eye))
     return spaces
 
 

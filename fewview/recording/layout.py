@@ -51,11 +51,13 @@ class Space:
     Attributes:
         component: its number.
         scans: the names of its scans.
+        centres: (n, 3) where their cameras stand.
         eye: where its view looks from.
     """
 
     component: int
     scans: tuple[str, ...]
+    centres: Array
     eye: Eye
 
     @property
@@ -95,21 +97,31 @@ def eye(points: Array, centres: Array) -> Eye:
     seen = np.concatenate([np.percentile(points, [0.5, 99.5], axis=0), centres])
     low, high = seen.min(axis=0), seen.max(axis=0)
     shown = np.concatenate([points[np.all((points >= low) & (points <= high), axis=1)], centres])
-    target, size = (low + high) / 2, float(np.linalg.norm(high - low))
+    size = float(np.linalg.norm(high - low))
     behind = (centres.mean(axis=0) - points.mean(axis=0)) * (1.0, 1.0, 0.0)
     length = float(np.linalg.norm(behind))
     direction = behind / length if length > 0.05 * size else np.array([-0.6, -0.8, 0.0])
     backwards = 0.74 * direction + np.array([0.0, 0.0, 0.67])
     backwards /= np.linalg.norm(backwards)
-    return Eye(target + _distance(shown - target, backwards) * backwards, target)
+    return _framing(shown, backwards)
 
 
-def _distance(offsets: Array, backwards: Array) -> float:
-    """How far from the target an eye sees all offsets (n, 3) in a picture as high as wide."""
+def _framing(points: Array, backwards: Array) -> Eye:
+    """The nearest eye that sees all points (n, 3) in a square picture, the view's axis given.
+
+    A point at x across the axis and b backwards is seen from (s, d) when |x - s| is at most
+    `HALF_VIEW` * (d - b): the largest sums and differences of x and `HALF_VIEW` * b decide.
+    """
     right = np.cross([0.0, 0.0, 1.0], backwards)
     right /= np.linalg.norm(right)
-    across = np.abs(offsets @ np.stack([right, np.cross(backwards, right)], axis=1)).max(axis=1)
-    return float((across / HALF_VIEW + offsets @ backwards).max())
+    axes = np.stack([right, np.cross(backwards, right)])
+    middle = points.mean(axis=0)
+    across = (points - middle) @ axes.T
+    spread = HALF_VIEW * ((points - middle) @ backwards)[:, None]
+    above, below = (spread + across).max(axis=0), (spread - across).max(axis=0)
+    target = middle + (above - below) / 2 @ axes
+    distance = float((above + below).max()) / (2 * HALF_VIEW)
+    return Eye(target + distance * backwards, target)
 
 
 def blueprint(

@@ -107,9 +107,9 @@ class Recorder:
         """Move the scans from the gallery to their places and show what decided it."""
         self._at(Step.SOLVED)
         stream, scans, pairs = self._stream, self._previews, self._pairs
-        spaces = answer.log_components(stream, scans, pairs, solution)
-        gallery = answer.log_unplaced(stream, scans, solution)
-        shown = answer.log_pairs(stream, scans, pairs, solution)
+        self._spaces = answer.log_components(stream, scans, pairs, solution)
+        self._gallery = answer.log_unplaced(stream, scans, solution)
+        self._shown = answer.log_pairs(stream, scans, pairs, solution)
         self._answer = tables.answer(solution)
         self.log(tables.headline(solution))
         scene.log_text(self._stream, "summary", self._answer)
@@ -118,13 +118,18 @@ class Recorder:
             "candidates",
             tables.candidates(layout.short(self._names), pairs, solution.selected),
         )
-        self._stream.send_blueprint(layout.blueprint(self._names, spaces, gallery, shown))
+        if self._live:
+            self._send_layout()
 
     def mesh_fused(self, component: int, mesh: ColouredMesh) -> None:
-        """Show the mesh of a component."""
+        """Show the mesh of a component and turn its view to it."""
         self._at(Step.MESH)
         root = layout.path(layout.world(component), "components", str(component), "mesh")
         scene.log_mesh(self._stream, root, mesh)
+        if len(mesh.vertices):
+            space = self._spaces[component]
+            eye = layout.eye(mesh.vertices, space.centres)
+            self._spaces[component] = replace(space, eye=eye)
         self.log(f"component {component}: mesh of {len(mesh.vertices)} vertices")
 
     def finished(self, timings_s: Mapping[str, float]) -> None:
@@ -135,6 +140,7 @@ class Recorder:
             bar = rr.BarChart([seconds], abscissa=[i])
             self._stream.log(layout.path("timings", stage), bar)
         self.log(f"finished in {sum(timings_s.values()):.1f} s")
+        self._send_layout()
 
     def close(self, keep: bool = True) -> None:
         """Give the file its name, or remove it; what comes later is not recorded."""
@@ -163,6 +169,10 @@ class Recorder:
             self._stream.set_sinks(*sinks)
         except (OSError, RuntimeError, ValueError) as error:
             raise FewviewError(f"cannot write the recording {self._path}: {error}") from error
+
+    def _send_layout(self) -> None:
+        parts = (self._names, self._spaces, self._gallery, self._shown)
+        self._stream.send_blueprint(layout.blueprint(*parts))
 
     def _at(self, step: Step) -> None:
         self._stream.set_time(layout.TIMELINE, sequence=step)
