@@ -374,10 +374,11 @@ def test_it_opens_on_the_answer(recording: Path) -> None:
     reader = RrdReader(recording)
     (blueprint,) = reader.blueprints()
     views: dict[str, str] = {}
-    eyes: list[str] = []
+    eyes: list[Any] = []
     for chunk in reader.stream(store=blueprint).to_chunks():
         batch = chunk.to_record_batch()
-        eyes += [n for n in batch.schema.names if n == "EyeControls3D:position"]
+        if "EyeControls3D:position" in batch.schema.names:
+            eyes += batch.column("EyeControls3D:position").to_pylist()
         if "ViewBlueprint:space_origin" in batch.schema.names:
             ((name,),) = batch.column("ViewBlueprint:display_name").to_pylist()
             ((views[name],),) = batch.column("ViewBlueprint:space_origin").to_pylist()
@@ -387,6 +388,9 @@ def test_it_opens_on_the_answer(recording: Path) -> None:
     assert views[f"{NAMES[2]} - {NAMES[3]}"] == f"/pairs/{NAMES[2]}--{NAMES[3]}"
     assert {"Summary", "Candidates", "Log", "Timings"} <= set(views)
     assert len(eyes) == 3
+    centres = np.stack([_pose(i)[:3, 3] for i in (0, 1)])
+    of_the_mesh = layout.eye(MESH.vertices, centres).position
+    assert any(np.allclose(eye[0], of_the_mesh, atol=1e-5) for eye in eyes)
 
 
 def test_recording_only_reads(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -13,7 +14,7 @@ import rerun as rr
 
 from fewview.errors import FewviewError
 from fewview.recording import answer, layout, pictures, scene, tables, viewer
-from fewview.recording.layout import Step
+from fewview.recording.layout import Eye, Space, Step
 from fewview.recording.pictures import Preview
 from fewview.types import (
     ColouredMesh,
@@ -54,6 +55,9 @@ class Recorder:
         self._names: tuple[str, ...] = ()
         self._previews: list[Preview] = []
         self._pairs: list[PairResult] = []
+        self._spaces: list[Space] = []
+        self._gallery: Eye | None = None
+        self._shown: list[tuple[int, int]] = []
         self._answer = ""
 
     def __enter__(self) -> Self:
