@@ -49,15 +49,7 @@ class Progress:
 
     def solved(self, solution: GlobalSolution) -> None:
         self._end()
-        components = solution.components
-        largest = len(components[0].scans) if components else 0
-        where = (
-            "placed" if len(components) < 2 else f"in the largest of {len(components)} components"
-        )
-        self._say(
-            f"{self.believable} of {self.total} pairs believable; "
-            f"{largest} of {len(solution.placements)} scans {where}"
-        )
+        self._say(f"{self.believable} of {self.total} pairs believable; {solution.headline}")
         for placement in solution.placements:
             if not placement.placed:
                 self._say(f"not placed: {placement.name}: {placement.reason}")

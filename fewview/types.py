@@ -376,6 +376,14 @@ class GlobalSolution:
     initial_world_T_scan: Mapping[int, Array]
     edges: tuple[EdgeReport, ...]
 
+    @property
+    def headline(self) -> str:
+        """How many scans share one world, and of how many components that is the largest."""
+        count = len(self.components)
+        largest = len(self.components[0].scans) if count else 0
+        where = "placed" if count < 2 else f"in the largest of {count} components"
+        return f"{largest} of {len(self.placements)} scans {where}"
+
 
 @dataclass(frozen=True)
 class ColouredMesh:

@@ -332,8 +332,8 @@ def test_headline_of_one_component_and_of_none() -> None:
         placements=(*solution.placements[:2], *first),
         components=solution.components[:1],
     )
-    assert tables.headline(one) == "2 of 5 scans placed"
-    assert tables.headline(replace(one, components=())) == "0 of 5 scans placed"
+    assert one.headline == "2 of 5 scans placed"
+    assert replace(one, components=()).headline == "0 of 5 scans placed"
 
 
 def test_reasons_stand_below_the_tables() -> None:

@@ -115,7 +115,7 @@ class Recorder:
         self._gallery = answer.log_unplaced(stream, scans, solution)
         self._shown = answer.log_pairs(stream, scans, pairs, solution)
         self._answer = tables.answer(solution)
-        self.log(tables.headline(solution))
+        self.log(solution.headline)
         scene.log_text(self._stream, "summary", self._answer)
         scene.log_text(
             self._stream,

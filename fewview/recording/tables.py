@@ -32,7 +32,7 @@ def inputs(scans: ScanSet) -> str:
 
 def answer(solution: GlobalSolution) -> str:
     """Which scans were placed, how surely, and why the others were not."""
-    parts = [f"# {headline(solution)}"]
+    parts = [f"# {solution.headline}"]
     parts += [_component(i, solution) for i in range(len(solution.components))]
     unplaced = [p for p in solution.placements if not p.placed]
     if unplaced:
@@ -40,14 +40,6 @@ def answer(solution: GlobalSolution) -> str:
         parts += ["## Not placed", _table(("scan", "probability"), rows)]
         parts += [f"**{escaped(p.name)}**: {escaped(p.reason)}" for p in unplaced if p.reason]
     return "\n\n".join(parts)
-
-
-def headline(solution: GlobalSolution) -> str:
-    """How many scans share one world, and of how many components that is the largest."""
-    components = solution.components
-    largest = len(components[0].scans) if components else 0
-    where = "placed" if len(components) < 2 else f"in the largest of {len(components)} components"
-    return f"{largest} of {len(solution.placements)} scans {where}"
 
 
 def candidates(
