@@ -70,7 +70,7 @@ class RefinementConfig:
     """Scale of the perpendicular term (sine of an angle)."""
     alpha_r: float = 0.02
     """Weight of the relations against the nearest neighbours."""
-    match_weight: float = 3.0
+    match_weight: float = 1.0
     """Weight of a matched feature against a nearest neighbour."""
     alpha_match_m: float = 0.05
     """Scale of the matched features' term."""
