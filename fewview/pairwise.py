@@ -137,8 +137,9 @@ def _refine(
 ) -> Refined:
     """The local module: relations under the initial poses, then robust regression."""
     relations = PatchRelations().predict(source.scan, target.scan, poses)
-    planes = np.array([k == "planes" for k in matches.kinds])[matches.kind]
-    anchors = Matches(matches.source, matches.target, _support(matches, poses) & ~planes)
+    fixed = matches.scale("fixed_point") > 0
+    weight = (_support(matches, poses) & fixed).astype(np.float64)
+    anchors = Matches(matches.source, matches.target, weight)
     return refine(
         (source.scan.surface, source.tree),
         (target.scan.surface, target.tree),

@@ -224,6 +224,26 @@ class CompletedScan:
 
 
 @dataclass(frozen=True)
+class Scales:
+    """How precise one kind of feature is: gamma_2 to gamma_5 of the supplementary.
+
+    gamma_1 belongs to the descriptor and has done its work in `Correspondences.similarity`.
+
+    Attributes:
+        length_m: gamma_2, metres.
+        normal_angle: gamma_3, radians; direction_angle: gamma_4 and gamma_5, radians.
+        normal_weight: what its normals count against its positions in the rigid fit, square metres.
+        fixed_point: False where a position may shift along the surface, as a patch's centre does.
+    """
+
+    length_m: float
+    normal_angle: float
+    direction_angle: float
+    normal_weight: float
+    fixed_point: bool = True
+
+
+@dataclass(frozen=True)
 class Correspondences:
     """Candidate matches between the same kind of features of two scans.
 
@@ -231,11 +251,13 @@ class Correspondences:
         kind: the FeatureSet kind.
         indices: (m, 2) int64, index into the source and the target feature set.
         similarity: (m,) float32 in 0..1, s_c of the paper.
+        scales: how precise these features are.
     """
 
     kind: str
     indices: IntArray
     similarity: FloatArray
+    scales: Scales
 
     def __len__(self) -> int:
         return len(self.indices)

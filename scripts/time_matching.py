@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fewview.completion.xfeat import SCALES
 from fewview.executor import single_threaded_libraries
 from fewview.geometry import se3
 from fewview.matching.consistency import CandidateMatches, consistency_matrix
@@ -72,7 +73,7 @@ def problem(size: int, inliers: float) -> CandidateMatches:
         normals,
         target_normals,
         rng.uniform(0.3, 1.0, size).astype(np.float32),
-        ("xfeat",),
+        {"xfeat": SCALES},
         np.zeros(size, dtype=np.int64),
         np.stack([index, index], axis=1),
     )

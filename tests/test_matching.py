@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fewview.completion.xfeat import SCALES
 from fewview.geometry import se3
-from fewview.matching.consistency import SCALES, CandidateMatches, consistency_matrix
+from fewview.matching.consistency import CandidateMatches, consistency_matrix
 from fewview.matching.rigid import fit_rigid
 from fewview.matching.spectral import leading_eigenvector, top_poses
 
@@ -41,7 +42,7 @@ def planted(
         np.concatenate(normals),
         np.concatenate(target_normals),
         np.full(total, 0.9, dtype=np.float32),
-        ("xfeat",),
+        {"xfeat": SCALES},
         np.zeros(total, dtype=np.int64),
         indices,
     )
@@ -49,8 +50,12 @@ def planted(
 
 def dense_consistency(m: CandidateMatches) -> np.ndarray:
     """The supplementary's formula written out pair by pair."""
-    scale = SCALES["xfeat"]
-    gammas = (scale.length_m, scale.normal_angle, scale.direction_angle, scale.direction_angle)
+    gammas = (
+        SCALES.length_m,
+        SCALES.normal_angle,
+        SCALES.direction_angle,
+        SCALES.direction_angle,
+    )
     size = len(m)
     out = np.zeros((size, size))
 

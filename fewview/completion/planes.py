@@ -15,11 +15,13 @@ from fewview.types import (
     IntArray,
     PlanarPatch,
     Representation,
+    Scales,
 )
 
 DESCRIPTOR_SCALE = 0.6
 PRIOR_SIMILARITY = 0.5
 LAB_SCALE = 40.0
+SCALES = Scales(0.30, 0.15, 0.50, 0.50, fixed_point=False)
 
 
 class Planes:
@@ -49,7 +51,7 @@ class Planes:
         similarity = PRIOR_SIMILARITY * np.exp(-squared / (2.0 * DESCRIPTOR_SCALE**2))
         indices: IntArray = np.argwhere(similarity > 0.05).astype(np.int64).reshape(-1, 2)
         weight: FloatArray = similarity[indices[:, 0], indices[:, 1]].astype(np.float32)
-        return Correspondences(self.name, indices, weight)
+        return Correspondences(self.name, indices, weight, SCALES)
 
 
 def _mean_colours(view: ScanView) -> Array:

@@ -7,10 +7,18 @@ import numpy as np
 
 from fewview.completion.kinds import ScanView, lift_keypoints
 from fewview.config import FeatureConfig
-from fewview.types import CompletedScan, Correspondences, FeatureSet, FloatArray, Representation
+from fewview.types import (
+    CompletedScan,
+    Correspondences,
+    FeatureSet,
+    FloatArray,
+    Representation,
+    Scales,
+)
 
 MAX_RATIO = 0.9
 DESCRIPTOR_SCALE = 0.5
+SCALES = Scales(0.05, 0.30, 0.30, 0.02)
 
 
 class Sift:
@@ -40,7 +48,9 @@ class Sift:
     def correspond(self, source: CompletedScan, target: CompletedScan) -> Correspondences:
         a, b = source.features[self.name], target.features[self.name]
         if len(a) < 2 or len(b) < 2:
-            return Correspondences(self.name, np.zeros((0, 2), np.int64), np.zeros(0, np.float32))
+            return Correspondences(
+                self.name, np.zeros((0, 2), np.int64), np.zeros(0, np.float32), SCALES
+            )
         similarity = a.descriptors @ b.descriptors.T
         best = similarity.argmax(axis=1)
         rows = np.arange(len(a))
@@ -49,7 +59,7 @@ class Sift:
         keep = np.flatnonzero(mutual & (distance < MAX_RATIO))
         squared = 2.0 - 2.0 * similarity[keep, best[keep]]
         weight = np.exp(-squared / (2.0 * DESCRIPTOR_SCALE**2)).astype(np.float32)
-        return Correspondences(self.name, np.stack([keep, best[keep]], axis=1), weight)
+        return Correspondences(self.name, np.stack([keep, best[keep]], axis=1), weight, SCALES)
 
 
 def _second_ratio(similarity: FloatArray) -> FloatArray:

@@ -14,10 +14,18 @@ import torch
 
 from fewview.completion.kinds import ScanView, lift_keypoints
 from fewview.config import FeatureConfig
-from fewview.types import CompletedScan, Correspondences, FeatureSet, FloatArray, Representation
+from fewview.types import (
+    CompletedScan,
+    Correspondences,
+    FeatureSet,
+    FloatArray,
+    Representation,
+    Scales,
+)
 
 MIN_CONFIDENCE = 0.1
 SPARE = 2
+SCALES = Scales(0.05, 0.30, 0.30, 0.02)
 
 
 class XFeatKeypoints:
@@ -46,12 +54,14 @@ class XFeatKeypoints:
     def correspond(self, source: CompletedScan, target: CompletedScan) -> Correspondences:
         a, b = source.features[self.name], target.features[self.name]
         if len(a) < 2 or len(b) < 2:
-            return Correspondences(self.name, np.zeros((0, 2), np.int64), np.zeros(0, np.float32))
+            return Correspondences(
+                self.name, np.zeros((0, 2), np.int64), np.zeros(0, np.float32), SCALES
+            )
         data = {**_matcher_input(source, a, 0), **_matcher_input(target, b, 1)}
         with torch.inference_mode():
             found = _matcher()(data, min_conf=MIN_CONFIDENCE)
         indices = found["matches"][0].cpu().numpy().astype(np.int64)
-        return Correspondences(self.name, indices, found["scores"][0].cpu().numpy())
+        return Correspondences(self.name, indices, found["scores"][0].cpu().numpy(), SCALES)
 
 
 def describe(

@@ -26,32 +26,12 @@ from fewview.types import (
     Correspondences,
     FloatArray,
     IntArray,
+    Scales,
 )
 
 MIN_ENTRY = 0.1
 MIN_LENGTH_M = 0.05
 BLOCK = 256
-
-
-@dataclass(frozen=True)
-class Scales:
-    """gamma_2 (metres) and gamma_3..5 (radians) of one kind of feature, and what its normals
-    count against its positions in the rigid fit (square metres).
-
-    gamma_1 belongs to the descriptor and has done its work in `Correspondences.similarity`.
-    """
-
-    length_m: float
-    normal_angle: float
-    direction_angle: float
-    normal_weight: float
-
-
-SCALES: Mapping[str, Scales] = {
-    "xfeat": Scales(0.05, 0.30, 0.30, 0.02),
-    "sift": Scales(0.05, 0.30, 0.30, 0.02),
-    "planes": Scales(0.30, 0.15, 0.50, 0.50),
-}
 
 
 @dataclass(frozen=True)
@@ -61,7 +41,7 @@ class CandidateMatches:
     Attributes:
         source, target: (m, 3) positions; source_normals, target_normals: (m, 3), zero if unknown.
         similarity: (m,) s_c.
-        kinds: the feature kinds; kind: (m,) index into them.
+        kinds: the feature kinds and their scales; kind: (m,) index into them.
         indices: (m, 2) into the feature sets of that kind.
     """
 
@@ -70,7 +50,7 @@ class CandidateMatches:
     source_normals: Array
     target_normals: Array
     similarity: FloatArray
-    kinds: tuple[str, ...]
+    kinds: Mapping[str, Scales]
     kind: IntArray
     indices: IntArray
 
@@ -84,7 +64,7 @@ class CandidateMatches:
 
     def scale(self, name: str) -> FloatArray:
         """(m,) value of a `Scales` field for each correspondence."""
-        values = np.array([getattr(SCALES[k], name) for k in self.kinds], dtype=np.float32)
+        values = np.array([getattr(s, name) for s in self.kinds.values()], dtype=np.float32)
         return np.asarray(values[self.kind])
 
 
@@ -97,16 +77,16 @@ def stack(
     similarity = np.concatenate([m.similarity for m in matches])
     order = np.argsort(-similarity, kind="stable")[:limit]
     kind, indices, similarity = kind[order], indices[order], similarity[order]
-    names = tuple(m.kind for m in matches)
+    kinds = {m.kind: m.scales for m in matches}
     columns = [np.zeros((len(order), 3)) for _ in range(4)]
-    for i, name in enumerate(names):
+    for i, name in enumerate(kinds):
         rows = kind == i
         for side, scan in enumerate((source, target)):
             features = scan.features[name]
             columns[side][rows] = features.positions[indices[rows, side]]
             columns[side + 2][rows] = features.normals[indices[rows, side]]
     p, q, n, m = columns
-    return CandidateMatches(p, q, n, m, similarity, names, kind, indices)
+    return CandidateMatches(p, q, n, m, similarity, kinds, kind, indices)
 
 
 def consistency_matrix(matches: CandidateMatches) -> sparse.csr_matrix:

@@ -52,8 +52,9 @@ def gather(
     tilt, floor_gap = gravity_disagreement(source.scan.levelling, target.scan.levelling, poses)
     yaw = yaw_disagreement(source.scan.levelling, target.scan.levelling, poses)
     per_kind = {k: _unique_support(matches, support, i) for i, k in enumerate(matches.kinds)}
-    planes = per_kind.get("planes", np.zeros(len(poses), dtype=np.int64))
-    points = sum(per_kind.values()) - planes
+    points = np.zeros(len(poses))
+    for name, scales in matches.kinds.items():
+        points += per_kind[name] * scales.fixed_point
     lead = np.clip(np.log1p(points) - _best_other(np.log1p(points)), -2.0, 2.0)
     geometry_alone = np.exp(-points / FEW_POINTS)
     columns = {
