@@ -49,6 +49,12 @@ class Intrinsics:
             (self.cy + 0.5) * sy - 0.5,
         )
 
+    def quarter_turned(self) -> Intrinsics:
+        """The camera of the image turned counter-clockwise by 90 degrees."""
+        return Intrinsics(
+            self.height, self.width, self.fy, self.fx, self.cy, self.width - 1 - self.cx
+        )
+
 
 @dataclass(frozen=True)
 class Frame:

@@ -95,14 +95,7 @@ def turned(frame: Frame, turns: int) -> Frame:
     """The frame with its images turned by ``turns`` x 90 degrees counter-clockwise."""
     camera = frame.intrinsics
     for _ in range(turns % 4):
-        camera = Intrinsics(
-            camera.height,
-            camera.width,
-            camera.fy,
-            camera.fx,
-            camera.cy,
-            camera.width - 1 - camera.cx,
-        )
+        camera = camera.quarter_turned()
     colour, depth = np.rot90(frame.colour, turns).copy(), np.rot90(frame.depth, turns).copy()
     return Frame(colour, depth, camera)
 

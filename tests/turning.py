@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fewview.types import Array, Frame, Intrinsics
+from fewview.types import Array, Frame
 
 
 def turned_frame(frame: Frame, turns: int) -> tuple[Frame, Array]:
@@ -12,14 +12,7 @@ def turned_frame(frame: Frame, turns: int) -> tuple[Frame, Array]:
     camera = frame.intrinsics
     turned_R_scan = np.eye(3)
     for _ in range(turns % 4):
-        camera = Intrinsics(
-            camera.height,
-            camera.width,
-            camera.fy,
-            camera.fx,
-            camera.cy,
-            camera.width - 1 - camera.cx,
-        )
+        camera = camera.quarter_turned()
         turned_R_scan = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) @ turned_R_scan
     return (
         Frame(

@@ -9,6 +9,7 @@ import numpy as np
 
 from fewview.completion.local_geometry import DepthView
 from fewview.config import FeatureConfig
+from fewview.geometry.camera import lift
 from fewview.types import (
     CompletedScan,
     Correspondences,
@@ -18,6 +19,7 @@ from fewview.types import (
     Levelling,
     PlanarPatch,
     Representation,
+    Scales,
     Surface,
 )
 
@@ -49,31 +51,46 @@ class FeatureKind(Protocol):
         """Candidate correspondences between this kind's features of two scans."""
 
 
-def lift_keypoints(
-    view: ScanView, pixels: FloatArray, max_depth_m: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def keypoint_features(
+    kind: FeatureKind,
+    view: ScanView,
+    pixels: FloatArray,
+    descriptors: FloatArray,
+    confidence: FloatArray,
+    config: FeatureConfig,
+    limit: int,
+) -> FeatureSet:
     """Give image keypoints a position and, where the surface allows, a normal.
 
     Args:
+        kind: whose features they are.
         view: the scan.
-        pixels: (n, 2) x, y in the full image.
-        max_depth_m: keypoints farther away are not kept.
-
-    Returns:
-        kept: (m,) indices of the keypoints with a depth,
-        positions: (m, 3) and normals: (m, 3) in the scan's frame, zero where not reliable.
+        pixels: (n, 2) x, y in the full image, best first; descriptors: (n, d); confidence: (n,).
+        config: keypoints beyond its depth range, or without depth, are not kept.
+        limit: how many are kept.
     """
     depth = view.frame.depth
     columns = np.clip(np.rint(pixels[:, 0]).astype(int), 0, depth.shape[1] - 1)
     rows = np.clip(np.rint(pixels[:, 1]).astype(int), 0, depth.shape[0] - 1)
     z = _smoothed_depth(depth, rows, columns)
+    kept = np.flatnonzero((z > 0) & (z < config.max_depth_m))[:limit]
+    pixels = pixels[kept]
     normals, reliable = view.depth.normals(*view.depth.pixels_of(pixels, view.frame.intrinsics))
-    kept = np.flatnonzero((z > 0) & (z < max_depth_m))
-    normals = np.where(reliable[:, None], normals, 0.0)
-    camera = view.frame.intrinsics
-    x = (pixels[kept, 0] - camera.cx) * z[kept] / camera.fx
-    y = (pixels[kept, 1] - camera.cy) * z[kept] / camera.fy
-    return kept, np.stack([x, y, z[kept]], axis=1).astype(np.float64), normals[kept]
+    return FeatureSet(
+        kind.name,
+        kind.representation,
+        lift(pixels, z[kept], view.frame.intrinsics),
+        np.where(reliable[:, None], normals, 0.0),
+        descriptors[kept],
+        np.ones(len(kept), dtype=bool),
+        confidence[kept],
+        pixels,
+    )
+
+
+def no_correspondences(kind: FeatureKind, scales: Scales) -> Correspondences:
+    """What a kind answers when one of the scans has too few of its features."""
+    return Correspondences(kind.name, np.zeros((0, 2), np.int64), np.zeros(0, np.float32), scales)
 
 
 def _smoothed_depth(depth: FloatArray, rows: np.ndarray, columns: np.ndarray) -> FloatArray:

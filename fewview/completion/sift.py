@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from fewview.completion.kinds import ScanView, lift_keypoints
+from fewview.completion.kinds import ScanView, keypoint_features, no_correspondences
 from fewview.config import FeatureConfig
 from fewview.types import (
     CompletedScan,
@@ -32,25 +32,14 @@ class Sift:
         found, raw = cv2.SIFT_create(config.max_sift).detectAndCompute(grey, None)
         pixels = np.array([k.pt for k in found], dtype=np.float32).reshape(-1, 2)
         raw = np.zeros((0, 128), np.float32) if raw is None else raw
-        kept, positions, normals = lift_keypoints(view, pixels, config.max_depth_m)
-        total = np.maximum(raw[kept].sum(axis=1, keepdims=True), 1e-6)
-        return FeatureSet(
-            self.name,
-            self.representation,
-            positions,
-            normals,
-            np.sqrt(raw[kept] / total).astype(np.float32),
-            np.ones(len(kept), dtype=bool),
-            np.ones(len(kept), dtype=np.float32),
-            pixels[kept],
-        )
+        root = np.sqrt(raw / np.maximum(raw.sum(axis=1, keepdims=True), 1e-6)).astype(np.float32)
+        certain = np.ones(len(pixels), dtype=np.float32)
+        return keypoint_features(self, view, pixels, root, certain, config, len(pixels))
 
     def correspond(self, source: CompletedScan, target: CompletedScan) -> Correspondences:
         a, b = source.features[self.name], target.features[self.name]
         if len(a) < 2 or len(b) < 2:
-            return Correspondences(
-                self.name, np.zeros((0, 2), np.int64), np.zeros(0, np.float32), SCALES
-            )
+            return no_correspondences(self, SCALES)
         similarity = a.descriptors @ b.descriptors.T
         best = similarity.argmax(axis=1)
         rows = np.arange(len(a))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from fewview.completion.kinds import ScanView, lift_keypoints
+from fewview.completion.kinds import ScanView, keypoint_features, no_correspondences
 from fewview.config import FeatureConfig
 from fewview.types import (
     CompletedScan,
@@ -38,25 +38,14 @@ class XFeatKeypoints:
         pixels, descriptors, scores = describe(
             view.frame.colour, view.quarter_turns, SPARE * config.max_keypoints
         )
-        kept, positions, normals = lift_keypoints(view, pixels, config.max_depth_m)
-        kept = kept[: config.max_keypoints]
-        return FeatureSet(
-            self.name,
-            self.representation,
-            positions[: len(kept)],
-            normals[: len(kept)],
-            descriptors[kept],
-            np.ones(len(kept), dtype=bool),
-            scores[kept],
-            pixels[kept],
+        return keypoint_features(
+            self, view, pixels, descriptors, scores, config, config.max_keypoints
         )
 
     def correspond(self, source: CompletedScan, target: CompletedScan) -> Correspondences:
         a, b = source.features[self.name], target.features[self.name]
         if len(a) < 2 or len(b) < 2:
-            return Correspondences(
-                self.name, np.zeros((0, 2), np.int64), np.zeros(0, np.float32), SCALES
-            )
+            return no_correspondences(self, SCALES)
         data = {**_matcher_input(source, a, 0), **_matcher_input(target, b, 1)}
         with torch.inference_mode():
             found = _matcher()(data, min_conf=MIN_CONFIDENCE)

@@ -52,18 +52,6 @@ def fit(listing: Listing) -> tuple[tuple[Rig, ...], list[str]]:
     return tuple(rigs), notes.lines(remarks)
 
 
-def quarter_turned(camera: Intrinsics) -> Intrinsics:
-    """The camera of the image turned counter-clockwise by 90 degrees."""
-    return Intrinsics(
-        camera.height,
-        camera.width,
-        camera.fy,
-        camera.fx,
-        camera.cy,
-        camera.width - 1 - camera.cx,
-    )
-
-
 def _calibration(shot: Shot, common: Calibration | None) -> Calibration:
     if shot.camera is not None:
         return Calibration(shot.camera)
@@ -128,7 +116,7 @@ def _fitted(
     fitted = camera.for_image(camera.size or size, what)
     turned = not _same_aspect(_size(fitted), size) and _same_aspect(_size(fitted)[::-1], size)
     if turned:
-        fitted = quarter_turned(fitted)
+        fitted = fitted.quarter_turned()
         text = f"{camera.label} is turned by 90 degrees counter-clockwise to fit {what} images"
         remarks.append(Remark(text, _text(fitted)))
     if not _same_aspect(_size(fitted), size):
