@@ -222,6 +222,7 @@ def _photographs(source: Frame, target: Frame, height: int) -> Picture:
 
 
 def pair_caption(truth: Array, pose: Array) -> tuple[str, Rgb]:
+    """Errors of a target_T_source and whether it is right, and the colour to say so in."""
     rotation, translation = rotation_error_deg(truth, pose), translation_error_m(truth, pose)
     errors = f"{rotation:.1f}°, {translation:.2f} m"
     right = bool(within(rotation, translation))
@@ -229,6 +230,7 @@ def pair_caption(truth: Array, pose: Array) -> tuple[str, Rgb]:
 
 
 def set_caption(truth: Array, estimate: Sequence[Array | None]) -> str:
+    """How many of (n, 4, 4) scans are right by the few-view protocol, and how many unplaced."""
     errors = absolute_errors(truth, estimate)
     right = int((errors.right & errors.placed).sum())
     return f"{right} of {len(truth)} right, {int((~errors.placed).sum())} unplaced"
