@@ -6,10 +6,10 @@ import os
 from pathlib import Path
 
 from fewview.errors import ScanError
-from fewview.scans import redwood, scannet, sens, seven_scenes, tum
+from fewview.scans import matterport, redwood, scannet, sens, seven_scenes, tum
 from fewview.scans.reader import Reader
 
-READERS: tuple[Reader, ...] = (sens, scannet, tum, seven_scenes, redwood)
+READERS: tuple[Reader, ...] = (sens, scannet, matterport, tum, seven_scenes, redwood)
 """All layouts, the most telling first; the first that recognises a folder reads it."""
 
 
