@@ -20,6 +20,8 @@ from fewview.errors import ConfigError
 class FeatureConfig:
     """Features of what a scan shows."""
 
+    kinds: tuple[str, ...] = ("xfeat", "sift", "planes")
+    """Which kinds of features are extracted and matched."""
     max_keypoints: int = 640
     """Learned keypoints kept per scan."""
     max_sift: int = 600
@@ -55,7 +57,7 @@ class RefinementConfig:
     """The robust regression of Sec. 3.3; alphas as in its equations."""
 
     iterations: int = 3
-    """Alternations between nearest neighbours and Gauss-Newton."""
+    """Alternations between nearest neighbours and Gauss-Newton; 0 leaves poses as proposed."""
     gauss_newton_steps: int = 3
     """Gauss-Newton steps per alternation."""
     neighbour_m: tuple[float, ...] = (0.20, 0.12, 0.08)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fewview.completion import KINDS
+from fewview.completion import chosen_kinds
 from fewview.config import Config
 from fewview.geometry import se3
 from fewview.matching.consistency import CandidateMatches, consistency_matrix, stack
@@ -93,7 +93,7 @@ def weigh_pair(source: PreparedScan, target: PreparedScan, config: Config) -> We
     matches = stack(
         source.scan,
         target.scan,
-        [kind.correspond(source.scan, target.scan) for kind in KINDS],
+        [kind.correspond(source.scan, target.scan) for kind in chosen_kinds(config.features)],
         config.matching.max_correspondences,
     )
     proposals, origins, scores = _propose(source, target, matches, config)
@@ -126,6 +126,14 @@ def _propose(
         origins += [CandidateOrigin.MANHATTAN] * len(alternatives)
     stacked = np.array([p for p, _ in poses]).reshape(-1, 4, 4)
     return stacked, origins, np.array([score for _, score in poses])
+
+
+def refine_alone(
+    source: PreparedScan, target: PreparedScan, target_T_source: Array, config: Config
+) -> Array:
+    """The local module by itself: (K, 4, 4) poses refined without any matched features."""
+    matches = stack(source.scan, target.scan, [], 0)
+    return _refine(source, target, target_T_source, matches, config).target_T_source
 
 
 def _refine(

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from fewview import scans
 from fewview.errors import ScanError
+from fewview.scans import assembly
 from tests import scan_writers as w
 
 GOOD = w.sens_bytes(w.samples(2, colour_size=(16, 12), depth_size=(16, 12)))
@@ -106,9 +107,13 @@ def test_header(case: str, tmp_path: Path) -> None:
     assert "scene.sens" in message and re.search(expected, message)
 
 
-def test_thousands_of_frames_are_refused_at_once(tmp_path: Path) -> None:
-    content = w.sens_bytes(header=w.SensHeader(frames=5578)) + bytes(5578 * FRAME_BYTES)
-    assert "5578 scans: pick a subset of 5 to 20" in message_of(content, tmp_path)
+def test_long_recordings_have_poses_but_are_too_many_scans(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(assembly, "MAX_SCANS", 4)
+    content = w.sens_bytes(w.samples(5, colour_size=(16, 12), depth_size=(16, 12)))
+    assert "5 scans: pick a subset of 5 to 20" in message_of(content, tmp_path)
+    assert len(scans.truth(tmp_path / "scene.sens")) == 5
 
 
 def test_depth_of_another_size_than_the_header_says(tmp_path: Path) -> None:

@@ -12,9 +12,24 @@ from fewview.completion.planes import Planes
 from fewview.completion.sift import Sift
 from fewview.completion.xfeat import XFeatKeypoints
 from fewview.config import FeatureConfig
+from fewview.errors import ConfigError
 from fewview.types import CompletedScan, Frame
 
 KINDS: tuple[FeatureKind, ...] = (XFeatKeypoints(), Sift(), Planes())
+
+
+def chosen_kinds(config: FeatureConfig) -> tuple[FeatureKind, ...]:
+    """The kinds that the settings name.
+
+    Raises:
+        ConfigError: one of them does not exist.
+    """
+    known = {kind.name: kind for kind in KINDS}
+    if unknown := sorted(set(config.kinds) - known.keys()):
+        raise ConfigError(
+            f"features.kinds: unknown kind '{unknown[0]}'; there are {', '.join(known)}"
+        )
+    return tuple(kind for kind in KINDS if kind.name in config.kinds)
 
 
 def complete(
@@ -43,5 +58,5 @@ def complete(
         surface=surface,
         patches=patches,
         levelling=levelling,
-        features={kind.name: kind.extract(view, config) for kind in KINDS},
+        features={kind.name: kind.extract(view, config) for kind in chosen_kinds(config)},
     )

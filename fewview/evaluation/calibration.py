@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,11 +47,15 @@ def reliability(probability: Array, right: BoolArray, bins: int = 10) -> tuple[B
 
 
 def expected_calibration_error(probability: Array, right: BoolArray, bins: int = 10) -> float:
+    """`calibration_error` of (n,) probabilities and whether the answers were right."""
+    return calibration_error(reliability(probability, right, bins))
+
+
+def calibration_error(bins: Sequence[Bin]) -> float:
     """Mean distance between probability and share of right answers, weighted by bin counts.
 
     Zero for no answers at all.
     """
-    groups = reliability(probability, right, bins)
-    total = sum(group.count for group in groups)
-    gap = sum(group.count * abs(group.probability - group.right) for group in groups)
+    total = sum(group.count for group in bins)
+    gap = sum(group.count * abs(group.probability - group.right) for group in bins)
     return gap / total if total else 0.0

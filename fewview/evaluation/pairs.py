@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -65,7 +65,7 @@ def score_pairs(
 
 
 def summarise_pairs(rows: Sequence[Json]) -> Json:
-    """Means over scored pairs, over all and, where overlaps are known, by overlap class.
+    """Means (and top-1 medians) over scored pairs, over all and, where overlaps are known, by overlap class.
 
     A pair without candidates counts with the identity's errors in ``top`` and as a miss in
     ``recall``, and is counted in ``without_candidates``.
@@ -87,7 +87,8 @@ def _summary(rows: Sequence[Json]) -> Json:
         "selected": len(chosen),
         "selected_right": sum(bool(candidate["right"]) for candidate in chosen),
         "recall": {str(k): _recall(rows, k) for k in TOP_K} if rows else None,
-        "top": {str(k): _top(rows, k) for k in TOP_K} if rows else None,
+        "top": {str(k): _over(rows, k, np.mean) for k in TOP_K} if rows else None,
+        "median": _over(rows, 1, np.median) if rows else None,
     }
 
 
@@ -95,10 +96,11 @@ def _recall(rows: Sequence[Json], k: int) -> float:
     return float(np.mean([any(c["right"] for c in row["candidates"][:k]) for row in rows]))
 
 
-def _top(rows: Sequence[Json], k: int) -> Json:
+def _over(rows: Sequence[Json], k: int, reduce: Callable[[Sequence[float]], Any]) -> Json:
+    """Errors of the best of the first k candidates, reduced over all pairs."""
     best = [_best(row, k) for row in rows]
     keys = [key for key in best[0] if key.endswith(("_deg", "_m"))]
-    return {key: float(np.mean([errors[key] for errors in best])) for key in keys}
+    return {key: float(reduce([errors[key] for errors in best])) for key in keys}
 
 
 def _best(row: Json, k: int) -> Json:

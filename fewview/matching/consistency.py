@@ -72,9 +72,10 @@ def stack(
     source: CompletedScan, target: CompletedScan, matches: list[Correspondences], limit: int
 ) -> CandidateMatches:
     """Collect correspondences of all kinds, at most ``limit``, best similarity first."""
-    kind = np.concatenate([np.full(len(m), i) for i, m in enumerate(matches)]).astype(np.int64)
-    indices = np.concatenate([m.indices for m in matches])
-    similarity = np.concatenate([m.similarity for m in matches])
+    counts = np.array([len(m) for m in matches], dtype=np.int64)
+    kind = np.repeat(np.arange(len(matches)), counts)
+    indices = np.concatenate([np.zeros((0, 2), np.int64), *(m.indices for m in matches)])
+    similarity = np.concatenate([np.zeros(0, np.float32), *(m.similarity for m in matches)])
     order = np.argsort(-similarity, kind="stable")[:limit]
     kind, indices, similarity = kind[order], indices[order], similarity[order]
     kinds = {m.kind: m.scales for m in matches}

@@ -51,7 +51,9 @@ def gather(
     visible = visible_agreement(source, target, poses)
     tilt, floor_gap = gravity_disagreement(source.scan.levelling, target.scan.levelling, poses)
     yaw = yaw_disagreement(source.scan.levelling, target.scan.levelling, poses)
-    per_kind = {k: _unique_support(matches, support, i) for i, k in enumerate(matches.kinds)}
+    per_kind = {kind.name: np.zeros(len(poses), dtype=np.int64) for kind in KINDS}
+    for i, name in enumerate(matches.kinds):
+        per_kind[name] = _unique_support(matches, support, i)
     points = np.zeros(len(poses))
     for name, scales in matches.kinds.items():
         points += per_kind[name] * scales.fixed_point

@@ -97,9 +97,10 @@ def refine(
     poses = target_T_source.copy()
     step = np.full((len(poses), 6), np.inf)
     radii = config.neighbour_m
+    pairs = _neighbours(source, target, poses, radii[0])
     for alternation in range(config.iterations):
-        radius = radii[min(alternation, len(radii) - 1)]
-        pairs = _neighbours(source, target, poses, radius)
+        if alternation:
+            pairs = _neighbours(source, target, poses, radii[min(alternation, len(radii) - 1)])
         for _ in range(config.gauss_newton_steps):
             terms = list(_terms(poses, pairs, relations, matches, config))
             step = _gauss_newton_step(terms)

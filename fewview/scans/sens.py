@@ -14,7 +14,7 @@ from typing import IO
 import numpy as np
 
 from fewview.errors import ScanError
-from fewview.scans import assembly, cameras, images, poses, scannet
+from fewview.scans import cameras, images, poses, scannet
 from fewview.scans.depth_unit import DepthUnit
 from fewview.scans.images import Size
 from fewview.scans.reader import Calibration, Listing, Shot
@@ -152,7 +152,6 @@ def _check_header(
 def _check_frame_count(stream: IO[bytes], count: int, path: Path) -> None:
     if count * _FRAME.size > _remaining(stream):
         raise ScanError(corrupt(path, f"{count} frames in a file too short for them"))
-    assembly.check_count(count, str(path))
 
 
 def _calibration(matrices: Array, path: Path) -> tuple[Calibration, Array]:

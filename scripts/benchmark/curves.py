@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from fewview.evaluation.calibration import Bin
+from fewview.evaluation.calibration import Bin, calibration_error
 from fewview.evaluation.metrics import RIGHT_DEG, RIGHT_M
 from fewview.types import Array
 
@@ -114,13 +114,6 @@ def reliability_diagram(bins: Mapping[str, Sequence[Bin]], path: Path) -> None:
         lower.set(xlabel="stated probability of being right", ylabel="answers")
         figure.legend(*upper.get_legend_handles_labels(), loc="outside right center")
         _save(figure, path)
-
-
-def calibration_error(bins: Sequence[Bin]) -> float:
-    """The expected calibration error of reliability bins; zero for no answers."""
-    total = sum(group.count for group in bins)
-    gap = sum(group.count * abs(group.probability - group.right) for group in bins)
-    return gap / total if total else 0.0
 
 
 def wilson(share: float, count: int) -> tuple[float, float]:

@@ -30,6 +30,7 @@ class Pair:
         target: name of the scan it is to be moved to.
         overlap: true, 0..1.
         yaw_deg: true angle between the viewing directions seen from above, 0..180.
+        centroid: of the source's measured points in its own frame, metres.
     """
 
     scene: str
@@ -37,6 +38,7 @@ class Pair:
     target: str
     overlap: float
     yaw_deg: float
+    centroid: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,10 @@ class PairList:
             content = json.loads(path.read_text())
             if content.pop("format") != FORMAT:
                 raise ValueError
-            pairs = tuple(Pair(**pair) for pair in content.pop("pairs"))
+            pairs = tuple(
+                Pair(**pair | {"centroid": tuple(pair["centroid"])})
+                for pair in content.pop("pairs")
+            )
             return PairList(**content, pairs=pairs)
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise SystemExit(f"{path} is not a list of pairs: remove it to draw anew") from error
@@ -143,11 +148,15 @@ def _of_scene(
     overlaps = views.overlaps(cache)
     every = list(combinations(range(len(views.names)), 2))
     chosen = rng.choice(len(every), min(count, len(every)), replace=False)
+    centroids: dict[str, tuple[float, float, float]] = {}
     found = []
     for a, b in (rng.permutation(every[i]) for i in chosen):
         source, target = views.names[a], views.names[b]
         yaw = scene.yaw_deg(source, target)
-        found.append(Pair(scene.name, source, target, float(overlaps[a, b]), yaw))
+        if source not in centroids:
+            centroids[source] = tuple(scene.cloud(source).mean(axis=0).tolist())
+        shared = float(overlaps[a, b])
+        found.append(Pair(scene.name, source, target, shared, yaw, centroids[source]))
     return found
 
 

@@ -242,7 +242,7 @@ def test_a_list_of_other_data_is_refused(dataset: Dataset, cache: Path, tmp_path
 
 def test_difficulty() -> None:
     made = [
-        pairs.Pair("s", "a", "b", overlap, yaw)
+        pairs.Pair("s", "a", "b", overlap, yaw, (0.0, 0.0, 1.0))
         for overlap, yaw in ((0.0, 180.0), (0.05, 150.0), (0.7, 29.9), (1.0, 30.0))
     ]
     found = pairs.difficulty(made)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from benchmark import curves, draw, page, rendering
-from fewview.evaluation.calibration import expected_calibration_error, reliability
+from fewview.evaluation.calibration import reliability
 from fewview.evaluation.metrics import relative
 from fewview.geometry import se3
 from fewview.synthetic import SyntheticScene, generate, split_seed
@@ -215,15 +215,6 @@ def test_recall_is_the_share_within(errors: list[float], limit: float) -> None:
     assert x[0] == 0.0 and x[-1] == limit
     for at, value in zip(x, share, strict=True):
         assert value == pytest.approx(sum(error <= at for error in errors) / len(errors))
-
-
-def test_calibration_error_of_bins_is_that_of_the_answers() -> None:
-    rng = np.random.default_rng(4)
-    probability = rng.random(200)
-    right = rng.random(200) < probability**2
-    bins = reliability(probability, right)
-    expected = expected_calibration_error(probability, right)
-    assert curves.calibration_error(bins) == pytest.approx(expected)
 
 
 def test_wilson_interval() -> None:

@@ -1,0 +1,1 @@
+"""The yardstick: scenes with ground truth, every method behind one signature, tables of both."""

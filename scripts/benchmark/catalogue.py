@@ -1,0 +1,173 @@
+"""All methods by name; free of heavy imports, so that what is stored can be scored at once."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any
+
+from benchmark.code import fingerprint
+from benchmark.methods.interface import PairMethod
+
+OURS = "benchmark.methods.ours"
+
+
+def key_of(name: str, settings: object, modules: Sequence[str]) -> str:
+    """``name`` with twelve hex digits of settings and of the code of modules."""
+    text = json.dumps(settings, sort_keys=True) + "".join(map(fingerprint, modules))
+    return f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+
+
+@dataclass(frozen=True)
+class Method:
+    """A relative-pose method.
+
+    Attributes:
+        label: as tables print it.
+        module: where its class is; its code and all that it imports key the stored answers.
+        maker: the class.
+        arguments: of the class.
+        local: refine its candidates with this key of `benchmark.methods.local.LOCALS`.
+    """
+
+    label: str
+    module: str
+    maker: str
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    local: str | None = None
+
+    def make(self) -> PairMethod:
+        """The method itself; imports what it needs."""
+        made: PairMethod = getattr(import_module(self.module), self.maker)(**self.arguments)
+        if self.local is None:
+            return made
+        refined: PairMethod = import_module("benchmark.methods.local").Refined(made, self.local)
+        return refined
+
+    @property
+    def key(self) -> str:
+        """A name for folders: what it is, and fingerprints of its settings and its code."""
+        modules = [self.module] + ["benchmark.methods.local"] * (self.local is not None)
+        return key_of(self.maker, [dict(self.arguments), self.local], modules)
+
+
+@dataclass(frozen=True)
+class NotBuilt:
+    """A row of the paper whose parts do not exist yet.
+
+    Attributes:
+        label: as tables print it.
+        missing: what it waits for.
+    """
+
+    label: str
+    missing: str
+
+
+@dataclass(frozen=True)
+class MultiMethod:
+    """A way from pairs to the poses of a set of scans.
+
+    Attributes:
+        label: as tables print it.
+        pairs: key of `PAIR_METHODS`.
+        backend: module with a function ``solve``.
+        arguments: of that function.
+        consecutive: only neighbours in the scan order are matched.
+    """
+
+    label: str
+    pairs: str
+    backend: str
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    consecutive: bool = False
+
+    @property
+    def key(self) -> str:
+        """As `Method.key`, for the back-end and the pairs that it gets."""
+        given = [dict(self.arguments), built(self.pairs).key, self.consecutive]
+        return key_of(self.backend.rpartition(".")[-1], given, [self.backend])
+
+
+def _ours(label: str, maker: str = "Ours", **settings: Any) -> Method:
+    return Method(label, OURS, maker, {"settings": settings})
+
+
+def _global(label: str, kinds: Sequence[str] | None = None, manhattan: bool = False) -> Method:
+    """The global module alone, with some kinds of features."""
+    features = {} if kinds is None else {"features": {"kinds": list(kinds)}}
+    unrefined = {"iterations": 0}
+    return _ours(label, matching={"manhattan": manhattan}, refinement=unrefined, **features)
+
+
+_PANORAMA = "the 360-image completion network"
+_LAYOUT = "the 2D layout completion network"
+
+PAIR_METHODS: Mapping[str, Method | NotBuilt] = {
+    "identity": Method("identity", "benchmark.methods.trivial", "Identity"),
+    "uniform_yaw": Method("uniform yaw", "benchmark.methods.trivial", "UniformYaw"),
+    "manhattan_random": Method(
+        "Manhattan snap, random order", "benchmark.methods.trivial", "ManhattanRandom"
+    ),
+    "manhattan_away": Method(
+        "Manhattan snap, facing away first", "benchmark.methods.trivial", "ManhattanFacingAway"
+    ),
+    "4pcs": Method("Super4PCS", "benchmark.methods.four_points", "FourPoints"),
+    "fgr": Method("RobustGR (FGR)", "benchmark.methods.fgr", "FGR", {"icp": False}),
+    "fgr_icp": Method("FGR + ICP", "benchmark.methods.fgr", "FGR"),
+    "ransac": Method("RANSAC", "benchmark.methods.ransac", "Ransac", {"icp": False}),
+    "ransac_icp": Method("RANSAC + ICP", "benchmark.methods.ransac", "Ransac"),
+    "kiss_icp": Method("KISS-Matcher + ICP", "benchmark.methods.kiss", "Kiss"),
+    "xfeat": Method("XFeat + LighterGlue", "benchmark.methods.xfeat", "XFeat", {"icp": False}),
+    "xfeat_icp": Method("XFeat + LighterGlue + ICP", "benchmark.methods.xfeat", "XFeat"),
+    "sparse_icp": Method("SparseICP", "benchmark.methods.sparse_icp", "SparseICP"),
+    "scan_complete": NotBuilt("ScanComplete (360-image alone)", _PANORAMA),
+    "ours_local": _ours("Ours-Local", "OursLocal"),
+    "ours_global": _global("Ours-Global", manhattan=True),
+    "ours": _ours("Ours"),
+    "panorama": NotBuilt("360-image", _PANORAMA),
+    "planes": _global("Planes (seen)", ["planes"]),
+    "layout": NotBuilt("2D layout", _LAYOUT),
+    "keypoints": _global("Keypoints", ["xfeat", "sift"]),
+    "spectral": _global("All features, without Manhattan candidates"),
+}
+"""Relative-pose methods; those with one candidate answer top-3 and top-5 with it too."""
+
+
+def built(name: str) -> Method:
+    """A method that exists, by name."""
+    method = PAIR_METHODS[name]
+    if isinstance(method, NotBuilt):
+        raise SystemExit(f"{name} is not built: it needs {method.missing}")
+    return method
+
+
+_GRAPH = "benchmark.backends.components"
+
+
+def _pose_graph(label: str, pairs: str, optimiser: str, min_score: int = 0) -> MultiMethod:
+    return MultiMethod(label, pairs, _GRAPH, {"optimiser": optimiser, "min_score": min_score})
+
+
+def _ours_top(k: int) -> MultiMethod:
+    return MultiMethod(f"Ours, top-{k}", "ours", "benchmark.backends.ours", {"top_k": k})
+
+
+MULTI_METHODS: Mapping[str, MultiMethod] = {
+    "identity": MultiMethod("identity", "identity", "benchmark.backends.identity"),
+    "fine2coarse": MultiMethod(
+        "Fine2C", "xfeat_icp", "benchmark.backends.scan_order", consecutive=True
+    ),
+    "robustrec": _pose_graph("RobustRec (RANSAC)", "ransac_icp", "robust_rec"),
+    "fgr_robustrec": _pose_graph("FGR + RobustRec", "fgr_icp", "robust_rec"),
+    "kiss_robustrec": _pose_graph("KISS-Matcher + RobustRec", "kiss_icp", "robust_rec"),
+    "xfeat_robustrec": _pose_graph("XFeat + RobustRec", "xfeat_icp", "robust_rec", 15),
+    "xfeat_gnc": _pose_graph("XFeat + GNC", "xfeat_icp", "gnc", 15),
+    "ours_top1": _ours_top(1),
+    "ours_top3": _ours_top(3),
+    "ours_top5": _ours_top(5),
+}
+"""Multi-scan methods; RANSAC with the pose graph is the paper's RobustRecons."""

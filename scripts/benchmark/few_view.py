@@ -1,0 +1,103 @@
+"""The few-view table: sets of scans, scores of every method on them, text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmark.catalogue import MULTI_METHODS
+from benchmark.datasets import Dataset
+from benchmark.run import SetTask
+from benchmark.scenes import Scene
+from benchmark.scoring import set_row, summarise_sets
+from benchmark.sets import (
+    KINDS,
+    QUICK_COUNT,
+    SPARSE_COUNT,
+    FrameSet,
+    frame_sets,
+    random_counts,
+)
+from benchmark.table import Table
+
+Json = dict[str, Any]
+KINDS_NOTE = f"which sets: {', '.join(KINDS)}"
+ERRORS_NOTE = (
+    "Cells: mean rotation error in degrees / mean translation error in metres of all scans after "
+    "one gauge alignment (share of scans within 15 degrees and 0.3 m). Scans without a pose "
+    "count as identity. Fine2C also uses the scan order."
+)
+LEFT_NOTE = (
+    "Cells: unplaced scans / scans in the largest group that agrees / wrong scans with a stated "
+    "probability above 0.5 / sets in which the method broke down, of all scans; CPU seconds a set."
+)
+PAPER = {
+    "Fine2C, paper on ScanNet": ("96.5 / 1.41", "62.4 / 0.93", "69.6 / 1.57", "68.6 / 1.43"),
+    "RobustRec, paper on ScanNet": ("33.1 / 0.78", "25.1 / 0.52", "16.5 / 0.33", "12.3 / 0.26"),
+    "Ours top-5, paper on ScanNet": ("5.13 / 0.18", "2.73 / 0.12", "2.13 / 0.10", "1.81 / 0.09"),
+}
+PAPER_SIZES = (5, 10, 15, 20)
+
+
+def sets_of(
+    dataset: Dataset, kinds: Sequence[str], quick: bool, seed: int, cache: Path
+) -> list[tuple[Scene, FrameSet]]:
+    """All sets of a data set with their scenes."""
+    limit = QUICK_COUNT if quick else SPARSE_COUNT
+    counts = random_counts(dataset, quick)
+    return [
+        (scene, one)
+        for scene in dataset.scenes
+        for kind in kinds
+        for one in frame_sets(scene, kind, counts=counts, limit=limit, seed=seed, cache=cache)
+    ]
+
+
+def results_of(tasks: Mapping[str, Sequence[SetTask]], sets: Sequence[FrameSet]) -> Json:
+    """Rows of every method and set, and their means by kind and size."""
+    rows = [
+        {"method": name, "kind": one.kind, "set": one.id, **set_row(task)}
+        for name, own in tasks.items()
+        for task, one in zip(own, sets, strict=True)
+    ]
+    groups = dict.fromkeys((row["method"], row["kind"], row["size"]) for row in rows)
+    summary = [
+        {"method": method, "kind": kind, "size": size}
+        | summarise_sets(
+            [r for r in rows if (r["method"], r["kind"], r["size"]) == (method, kind, size)]
+        )
+        for method, kind, size in groups
+    ]
+    keys = {name: own[0].method.key for name, own in tasks.items() if own}
+    return {"methods": keys, "summary": summary, "rows": rows}
+
+
+def tables_of(results: Json, where: str) -> list[Table]:
+    """Errors, and what was left out, a kind of sets each; a column a size."""
+    tables = []
+    for kind in dict.fromkeys(group["kind"] for group in results["summary"]):
+        groups = [g for g in results["summary"] if g["kind"] == kind]
+        sizes = sorted({g["size"]: g["sets"] for g in groups}.items())
+        head = ["method", *(f"{size} scans ({count} sets)" for size, count in sizes)]
+        errors, left = [], []
+        for method in dict.fromkeys(g["method"] for g in groups):
+            own = {g["size"]: g for g in groups if g["method"] == method}
+            label = MULTI_METHODS[method].label
+            errors.append([label, *(_errors(own[size]) for size, _ in sizes)])
+            left.append([label, *(_left(own[size]) for size, _ in sizes)])
+        if [size for size, _ in sizes] == list(PAPER_SIZES):
+            errors += [[label, *cells] for label, cells in PAPER.items()]
+        tables.append(Table(f"{kind} sets, {where}", ERRORS_NOTE, head, errors))
+        tables.append(Table(f"{kind} sets, {where}: what was left out", LEFT_NOTE, head, left))
+    return tables
+
+
+def _errors(group: Json) -> str:
+    errors = f"{group['rotation_deg']:.1f} / {group['translation_m']:.3f}"
+    return f"{errors} ({group['right']:.2f})"
+
+
+def _left(group: Json) -> str:
+    counts = (group["unplaced"], group["agreeing"], group["wrong_and_sure"], group["broken"])
+    return f"{' / '.join(map(str, counts))} of {group['scans']}; {group['cpu_seconds']:.0f} s"

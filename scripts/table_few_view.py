@@ -1,0 +1,57 @@
+"""Poses of 5, 10, 15, 20 scans: fewview with its top-1, top-3, top-5 candidates, and its peers.
+
+    python scripts/table_few_view.py --dataset rooms --out results/few_view.json
+    python scripts/table_few_view.py --dataset DATA/redkitchen --sets random low
+
+Every pair is answered once a scene, whichever sets it is in, and kept; so is every set.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from benchmark.catalogue import MULTI_METHODS
+from benchmark.command import multi_names, opened, out_path, parser, settings
+from benchmark.datasets import Dataset
+from benchmark.few_view import KINDS_NOTE, results_of, sets_of, tables_of
+from benchmark.run import SetTask, run_sets
+from benchmark.store import Store
+from benchmark.table import write
+
+QUICK_SCENES = 3
+
+
+def main() -> None:
+    """Parse the arguments, run, print the table."""
+    options = arguments()
+    dataset = opened(options)
+    if options.quick:
+        dataset = Dataset(dataset.name, dataset.scenes[:QUICK_SCENES], dataset.spec)
+    store = Store(options.cache / "answers")
+    sets = sets_of(dataset, options.sets, options.quick, options.seed, options.cache)
+    tasks = {
+        name: [SetTask(store, MULTI_METHODS[name], scene, s.names) for scene, s in sets]
+        for name in options.methods
+    }
+    run_sets([task for own in tasks.values() for task in own], options.jobs)
+    results = results_of(tasks, [s for _, s in sets])
+    where = f"{dataset.name}, {len(dataset.scenes)} scenes, seed {options.seed}"
+    tables = tables_of(results, where)
+    print(write(out_path(options, dataset), {**settings(options, dataset), **results}, tables))
+
+
+def arguments() -> argparse.Namespace:
+    """The command line."""
+    made = parser(__doc__, "few-view")
+    made.add_argument("--sets", nargs="+", default=["random"], help=KINDS_NOTE)
+    made.add_argument(
+        "--methods",
+        type=multi_names,
+        default=tuple(MULTI_METHODS),
+        help=f"comma-separated, of {', '.join(MULTI_METHODS)}",
+    )
+    return made.parse_args()
+
+
+if __name__ == "__main__":
+    main()
