@@ -1,6 +1,6 @@
 """The structural model: frames' planes clustered into structures, and how these stand together.
 
-After Halber and Funkhouser 2017; tolerances are the defaults of the authors' program, `fetregister`.
+After Halber and Funkhouser 2017; tolerances are defaults of the authors' program, `fetregister`.
 """
 
 from __future__ import annotations
