@@ -19,6 +19,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from benchmark.methods import keypoints
+from benchmark.methods.keypoints import Keypoints, lifted, pose_of
+from benchmark.scenes import Scene
 from fewview.evaluation.metrics import (
     relative,
     rotation_error_deg,
@@ -27,10 +30,6 @@ from fewview.evaluation.metrics import (
 )
 from fewview.evaluation.overlap import CLASSES, overlap_class
 from fewview.types import Array, Frame
-from peers import keypoints
-from peers.keypoints import Keypoints, lifted, pose_of
-from scenes import Scene
-from sets import overlaps
 
 Json = dict[str, Any]
 Pair = tuple[str, str, float]
@@ -76,7 +75,7 @@ def main() -> None:
 
 def balanced(scene: Scene, count: int, seed: int, cache: Path) -> list[Pair]:
     """``count`` random pairs of every overlap class, with their overlap."""
-    matrix = overlaps(scene, cache)
+    matrix = scene.overlaps(cache)
     rng = np.random.default_rng(seed)
     chosen: list[Pair] = []
     shuffled = rng.permutation(np.stack(np.triu_indices(len(matrix), 1), axis=-1))

@@ -5,7 +5,6 @@ python scripts/figure_few_view.py --dataset DATA/redkitchen --sets low --rows 4
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from benchmark.catalogue import MULTI_METHODS
@@ -13,9 +12,9 @@ from benchmark.command import multi_names, opened, out_path, parser
 from benchmark.draw import set_row
 from benchmark.few_view import KINDS_NOTE, sets_of
 from benchmark.methods.interface import Placement
-from benchmark.page import grid
+from benchmark.page import grid, save_png
 from benchmark.run import SetTask, run_sets
-from benchmark.store import Store
+from benchmark.store import Record, Store
 
 METHODS = "fine2coarse,robustrec,xfeat_robustrec,ours_top5"
 
@@ -41,7 +40,7 @@ def main() -> None:
     picture = grid([list(row.values()) for row in rows], list(rows[0]), titles)
     out = out_path(options, dataset).with_suffix(".png")
     out.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(out), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    save_png(picture, out)
     print(out)
 
 
@@ -50,9 +49,10 @@ def drawn(tasks: list[SetTask]) -> dict[str, np.ndarray]:
     scene, names = tasks[0].scene, tasks[0].names
     poses = {}
     for task in tasks:
-        placements: list[Placement | None] = task.store.read(task.path).answer or []
+        record: Record[list[Placement | None]] = task.store.read(task.path)
         poses[task.method.label] = [
-            p.world_T_scan if p is not None and p.component == 0 else None for p in placements
+            p.world_T_scan if p is not None and p.component == 0 else None
+            for p in record.answer or ()
         ] or [None] * len(names)
     frames = [scene.load(name) for name in names]
     return set_row(frames, poses, [scene.truth[name] for name in names], scene.up)

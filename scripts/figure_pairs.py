@@ -7,18 +7,17 @@ Pairs are taken evenly over the overlap, from the list that the tables use.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from benchmark.catalogue import built
 from benchmark.command import method_names, opened, out_path, pair_list, pair_parser
 from benchmark.draw import pair_row
 from benchmark.methods.interface import Answer
-from benchmark.page import grid
+from benchmark.page import grid, save_png
 from benchmark.pairs import Pair
 from benchmark.run import PairTask, run
 from benchmark.scenes import Scene
-from benchmark.store import Store
+from benchmark.store import Record, Store
 from fewview.evaluation.metrics import relative
 
 METHODS = "4pcs,fgr,ransac_icp,xfeat_icp,ours"
@@ -47,7 +46,7 @@ def main() -> None:
     picture = grid([list(row.values()) for row in rows], list(rows[0]), titles)
     out = out_path(options, dataset).with_suffix(".png")
     out.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(out), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    save_png(picture, out)
     print(out)
 
 
@@ -55,11 +54,12 @@ def drawn(scene: Scene, pair: Pair, tasks: list[PairTask]) -> dict[str, np.ndarr
     """Panels by column title."""
     poses = {}
     for task in tasks:
-        answer: Answer | None = task.store.read(task.path).answer
-        found = answer is not None and answer.candidates
-        poses[task.method.label] = answer.candidates[0].target_T_source if found else None
+        record: Record[Answer] = task.store.read(task.path)
+        found = (record.answer or Answer()).candidates
+        poses[task.method.label] = found[0].target_T_source if found else None
     truth = relative(scene.truth[pair.source], scene.truth[pair.target])
-    return pair_row(scene.load(pair.source), scene.load(pair.target), poses, truth)
+    up = scene.truth[pair.target][:3, :3].T @ scene.up
+    return pair_row(scene.load(pair.source), scene.load(pair.target), poses, truth, up)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ def main() -> None:
     pairs = pair_list(options, dataset).pairs
     store, scenes = Store(options.cache / "answers"), {s.name: s for s in dataset.scenes}
     tasks = [RelationTask(store, scenes[p.scene], p.source, p.target, options.seed) for p in pairs]
-    run(tasks, options.jobs, "relations")  # type: ignore[arg-type]
+    run(tasks, options.jobs, "relations")
     judged = [task.judged() for task in tasks]
     if not any(judged):
         raise SystemExit(f"{dataset.spec}: no pair has surfaces on both sides to draw points from")

@@ -98,9 +98,13 @@ def _ours(label: str, maker: str = "Ours", **settings: Any) -> Method:
 
 def _global(label: str, kinds: Sequence[str] | None = None, manhattan: bool = False) -> Method:
     """The global module alone, with some kinds of features."""
-    features = {} if kinds is None else {"features": {"kinds": list(kinds)}}
-    unrefined = {"iterations": 0}
-    return _ours(label, matching={"manhattan": manhattan}, refinement=unrefined, **features)
+    settings: dict[str, Any] = {
+        "matching": {"manhattan": manhattan},
+        "refinement": {"iterations": 0},
+    }
+    if kinds is not None:
+        settings["features"] = {"kinds": list(kinds)}
+    return _ours(label, **settings)
 
 
 _PANORAMA = "the 360-image completion network"

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from tqdm import tqdm
 
@@ -27,6 +27,25 @@ CHUNK = 16
 """Pairs that a worker takes at once, so that it prepares few scans twice."""
 KEPT_VIEWS = 64
 """Prepared scans that a worker keeps."""
+
+
+class Task(Protocol):
+    """Work whose answer is kept: it pickles, and ``path`` is there once it was done."""
+
+    @property
+    def store(self) -> Store:
+        """Where answers are kept."""
+
+    @property
+    def path(self) -> Path:
+        """Of the record, in the store."""
+
+    @property
+    def group(self) -> tuple[Hashable, ...]:
+        """Tasks of one group share prepared scans."""
+
+    def run(self) -> Record[Any]:
+        """Do it."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +140,8 @@ class SetTask:
 
     def pairs(self) -> dict[tuple[int, int], PairTask]:
         """What is to be known before the set; needs `turns`."""
-        turns: tuple[int, ...] = self.store.read(self.turns.path).answer
+        turns: Record[tuple[int, ...]] = self.store.read(self.turns.path)
+        turned = turns.answer or (0,) * len(self.names)
         return {
             (i, j): PairTask(
                 self.store,
@@ -129,7 +149,7 @@ class SetTask:
                 self.scene,
                 self.names[i],
                 self.names[j],
-                (turns[i], turns[j]),
+                (turned[i], turned[j]),
             )
             for i, j in self.indices
         }
@@ -160,9 +180,6 @@ class SetTask:
             for name, seconds in taken.items():
                 own.setdefault(name, []).append(seconds)
         return total + sum(sum(values) / len(values) for values in own.values())
-
-
-Task = PairTask | TurnsTask | SetTask
 
 
 def run_sets(tasks: Sequence[SetTask], jobs: int) -> None:
@@ -257,13 +274,12 @@ def _made(method: Method) -> PairMethod:
 def _turns(made: PairMethod, scene: Scene, names: Sequence[str]) -> tuple[int, ...]:
     if type(made).glance is PairMethod.glance:
         return (0,) * len(names)
-    glances = [
-        _glances.get(
-            (type(made).glance, scene.folder, name), lambda n=name: made.glance(scene.load(n))
-        )
-        for name in names
-    ]
-    return made.turns(glances)
+    return made.turns([_glance(made, scene, name) for name in names])
+
+
+def _glance(made: PairMethod, scene: Scene, name: str) -> Any:
+    key = (type(made).glance, scene.folder, name)
+    return _glances.get(key, lambda: made.glance(scene.load(name)))
 
 
 def _view(

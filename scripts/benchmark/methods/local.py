@@ -105,7 +105,7 @@ def _completed(frame: Frame, turn: int) -> PreparedScan:
 
 def _ours(source: PreparedScan, target: PreparedScan, pose: Array) -> Array:
     with single_threaded_libraries():
-        return refine_alone(source, target, pose[None], Config())[0]
+        return np.asarray(refine_alone(source, target, pose[None], Config())[0])
 
 
 LOCALS = {

@@ -1,1 +1,0 @@
-"""What users would pick today: pair estimators and multi-scan back-ends with standard settings."""
