@@ -9,12 +9,20 @@ Every pair is answered once a scene, whichever sets it is in, and kept; so is ev
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 
 from benchmark.catalogue import MULTI_METHODS
 from benchmark.command import multi_names, opened, out_path, parser, settings
-from benchmark.datasets import Dataset
-from benchmark.few_view import KINDS_NOTE, results_of, sets_of, tables_of
+from benchmark.few_view import (
+    KINDS_NOTE,
+    mesh_results,
+    mesh_table,
+    results_of,
+    sets_of,
+    tables_of,
+)
 from benchmark.run import SetTask, run_sets
+from benchmark.scenes import rolled
 from benchmark.store import Store
 from benchmark.table import write
 
@@ -26,7 +34,10 @@ def main() -> None:
     options = arguments()
     dataset = opened(options)
     if options.quick:
-        dataset = Dataset(dataset.name, dataset.scenes[:QUICK_SCENES], dataset.spec)
+        dataset = replace(dataset, scenes=dataset.scenes[:QUICK_SCENES])
+    if options.roll:
+        turned = tuple(rolled(scene, options.seed, options.cache) for scene in dataset.scenes)
+        dataset = replace(dataset, name=f"{dataset.name}-rolled", scenes=turned)
     store = Store(options.cache / "answers")
     sets = sets_of(dataset, options.sets, options.quick, options.seed, options.cache)
     tasks = {
@@ -37,6 +48,9 @@ def main() -> None:
     results = results_of(tasks, [s for _, s in sets])
     where = f"{dataset.name}, {len(dataset.scenes)} scenes, seed {options.seed}"
     tables = tables_of(results, where)
+    if options.mesh:
+        results |= mesh_results(tasks, options.jobs)
+        tables += [mesh_table(results, where)] if results["meshes"] else []
     print(write(out_path(options, dataset), {**settings(options, dataset), **results}, tables))
 
 
@@ -50,6 +64,8 @@ def arguments() -> argparse.Namespace:
         default=tuple(MULTI_METHODS),
         help=f"comma-separated, of {', '.join(MULTI_METHODS)}",
     )
+    made.add_argument("--mesh", action="store_true", help="also compare meshes, where truth is")
+    made.add_argument("--roll", action="store_true", help="half of the images in quarter turns")
     return made.parse_args()
 
 

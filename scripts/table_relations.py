@@ -12,7 +12,6 @@ from benchmark.pairs import difficulty
 from benchmark.relation_runs import PERTURBATIONS, SAMPLES, RelationTask
 from benchmark.relation_tables import reference, rows, summarise, tables
 from benchmark.run import run
-from benchmark.scenes import TRUE_MESH
 from benchmark.store import Store
 from benchmark.table import write
 
@@ -28,7 +27,7 @@ def main() -> None:
     judged = [task.judged() for task in tasks]
     if not any(judged):
         raise SystemExit(f"{dataset.spec}: no pair has surfaces on both sides to draw points from")
-    from_mesh = all((scene.folder / TRUE_MESH).is_file() for scene in dataset.scenes)
+    from_mesh = all(scene.has_mesh for scene in dataset.scenes)
     labels = "the true mesh" if from_mesh else "measured normals"
     summary = summarise(rows(pairs, judged), from_mesh)
     results = {

@@ -8,7 +8,8 @@ from typing import Any
 
 from benchmark.catalogue import MULTI_METHODS
 from benchmark.datasets import Dataset
-from benchmark.run import SetTask
+from benchmark.mesh_runs import MeshTask
+from benchmark.run import SetTask, run
 from benchmark.scenes import Scene
 from benchmark.scoring import set_row, summarise_sets
 from benchmark.sets import (
@@ -19,7 +20,9 @@ from benchmark.sets import (
     frame_sets,
     random_counts,
 )
+from benchmark.store import Record
 from benchmark.table import Table
+from fewview.evaluation.mesh import MeshErrors
 
 Json = dict[str, Any]
 KINDS_NOTE = f"which sets: {', '.join(KINDS)}"
@@ -32,6 +35,11 @@ LEFT_NOTE = (
     "Cells: unplaced scans / scans in the largest group that agrees / wrong scans with a stated "
     "probability above 0.5 / sets in which the method broke down, of all scans; CPU seconds a set."
 )
+MESH_NOTE = (
+    "Accuracy / completeness at 5 cm against the true surface of the whole room, same fusion for "
+    "all; scans outside the largest component are not fused."
+)
+TRUE_POSES = "truth"
 PAPER = {
     "Fine2C, paper on ScanNet": ("96.5 / 1.41", "62.4 / 0.93", "69.6 / 1.57", "68.6 / 1.43"),
     "RobustRec, paper on ScanNet": ("33.1 / 0.78", "25.1 / 0.52", "16.5 / 0.33", "12.3 / 0.26"),
@@ -52,6 +60,52 @@ def sets_of(
         for kind in kinds
         for one in frame_sets(scene, kind, counts=counts, limit=limit, seed=seed, cache=cache)
     ]
+
+
+def mesh_results(tasks: Mapping[str, Sequence[SetTask]], jobs: int) -> Json:
+    """Accuracy and completeness of fused meshes by method and size, where the truth is known.
+
+    The method ``truth`` fuses with the true poses: what nobody can be better than.
+    """
+    known = {n: [t for t in own if t.scene.has_mesh] for n, own in tasks.items()}
+    made = {name: [MeshTask(task) for task in own] for name, own in known.items()}
+    made[TRUE_POSES] = [MeshTask(task, True) for task in next(iter(known.values()), [])]
+    run([task for own in made.values() for task in own], jobs, "meshes")
+    summary = []
+    for name, own in made.items():
+        sizes = sorted({len(task.placed.names) for task in own})
+        for size in sizes:
+            records: list[Record[MeshErrors]] = [
+                task.store.read(task.path) for task in own if len(task.placed.names) == size
+            ]
+            summary.append({"method": name, "size": size, **_mesh_means(records)})
+    return {"meshes": summary}
+
+
+def _mesh_means(records: Sequence[Record[MeshErrors]]) -> Json:
+    """Means over sets; a set without a mesh counts as neither accurate nor complete."""
+    found = [record.answer for record in records if record.answer is not None]
+    return {
+        "sets": len(records),
+        "without": len(records) - len(found),
+        "accuracy": sum(errors.accuracy for errors in found) / len(records),
+        "completeness": sum(errors.completeness for errors in found) / len(records),
+        "f_score": sum(errors.f_score for errors in found) / len(records),
+    }
+
+
+def mesh_table(results: Json, where: str) -> Table:
+    """Accuracy / completeness, a column a size."""
+    groups = results["meshes"]
+    sizes = sorted({g["size"] for g in groups})
+    rows = []
+    for method in dict.fromkeys(g["method"] for g in groups):
+        own = {g["size"]: g for g in groups if g["method"] == method}
+        label = "true poses" if method == TRUE_POSES else MULTI_METHODS[method].label
+        cells = [f"{own[n]['accuracy']:.2f} / {own[n]['completeness']:.2f}" for n in sizes]
+        rows.append([label, *cells])
+    head = ["method", *(f"{size} scans" for size in sizes)]
+    return Table(f"Meshes, {where}", MESH_NOTE, head, rows)
 
 
 def results_of(tasks: Mapping[str, Sequence[SetTask]], sets: Sequence[FrameSet]) -> Json:

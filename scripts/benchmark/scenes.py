@@ -91,12 +91,16 @@ class Scene:
         points = camera.backproject(frame.depth, frame.intrinsics)
         return points[frame.depth > 0].astype(np.float64)
 
+    @property
+    def has_mesh(self) -> bool:
+        """Whether the true surface is known."""
+        return (self.folder / TRUE_MESH).is_file()
+
     def mesh(self) -> ColouredMesh | None:
         """The true surface from `TRUE_MESH`, grey where it has no colours; None without one."""
-        path = self.folder / TRUE_MESH
-        if not path.is_file():
+        if not self.has_mesh:
             return None
-        mesh = o3d.io.read_triangle_mesh(str(path))
+        mesh = o3d.io.read_triangle_mesh(str(self.folder / TRUE_MESH))
         vertices = np.asarray(mesh.vertices, np.float64)
         colours = np.full(vertices.shape, _GREY, np.uint8)
         if mesh.has_vertex_colors():

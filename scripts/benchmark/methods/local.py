@@ -12,7 +12,7 @@ import small_gicp
 
 from benchmark.methods.clouds import VOXEL_M, cloud_of, registration
 from benchmark.methods.interface import Answer, PairMethod
-from benchmark.methods.sparse_icp import sparse_icp
+from benchmark.methods.sparse_icp import sparse_icp, thinned
 from fewview.completion import complete
 from fewview.config import Config
 from fewview.executor import single_threaded_libraries
@@ -94,7 +94,7 @@ def _generalised(
 
 def _sparse(source: o3d.geometry.PointCloud, target: o3d.geometry.PointCloud, pose: Array) -> Array:
     return sparse_icp(
-        np.asarray(source.points), np.asarray(target.points), np.asarray(target.normals), pose
+        thinned(source), np.asarray(target.points), np.asarray(target.normals), pose
     )
 
 

@@ -75,13 +75,17 @@ class SparseICP(PairMethod):
         """One candidate; its score is the number of source points with a neighbour at 5 cm."""
         if source is None or target is None:
             return Answer()
-        points = np.asarray(source.points)
-        rng = np.random.default_rng(0)
-        chosen = rng.choice(len(points), min(SOURCE_POINTS, len(points)), replace=False)
         normals = np.asarray(target.normals) if self.point_to_plane else None
-        pose = sparse_icp(points[chosen], np.asarray(target.points), normals, np.eye(4))
+        pose = sparse_icp(thinned(source), np.asarray(target.points), normals, np.eye(4))
         found = registration.evaluate_registration(source, target, ICP_DISTANCES_M[-1], pose)
         return Answer((assess(source, target, pose, len(found.correspondence_set)),))
+
+
+def thinned(cloud: o3d.geometry.PointCloud) -> Array:
+    """At most `SOURCE_POINTS` (n, 3) of its points, the same each time."""
+    points = np.asarray(cloud.points)
+    rng = np.random.default_rng(0)
+    return points[rng.choice(len(points), min(SOURCE_POINTS, len(points)), replace=False)]
 
 
 def sparse_icp(
