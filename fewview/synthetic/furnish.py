@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fewview.synthetic import furniture, textures
+from fewview.synthetic.classes import Surface
 from fewview.synthetic.decoration import HANGING
 from fewview.synthetic.furniture import Piece
 from fewview.synthetic.items import Patches, placement
 from fewview.synthetic.plan import Opening, OpeningKind, Plan, Wall
-from fewview.synthetic.surfaces import Patch, box, box_corners, moved, printed
+from fewview.synthetic.surfaces import Patch, box, box_corners, labelled, moved, printed
 from fewview.synthetic.textures import Rng, muted
 from fewview.types import Array
 
@@ -157,7 +158,7 @@ def furnish(plan: Plan, rng: Rng) -> tuple[tuple[Standing, ...], Patches]:
     for number, wall in enumerate(plan.walls):
         _dress_windows(room, wall)
         _hang(room, number, wall)
-    return tuple(room.standing), tuple(room.patches)
+    return tuple(room.standing), labelled(room.patches, Surface.OTHER)
 
 
 def _covered_share(room: _Furnishing) -> float:
@@ -211,7 +212,7 @@ def _spread_rug(room: _Furnishing, piece: Piece, at: Array) -> None:
     if room.plan.contains(footprint_of(lying, at)).all():
         face = box_corners((*size, 0.006), (0, 0, 0))[4]
         rug = textures.rug(room.rng, size, muted(room.rng))
-        room.patches += moved([printed(face, rug)], at)
+        room.patches += labelled(moved([printed(face, rug)], at), Surface.FLOOR)
 
 
 def _dress_windows(room: _Furnishing, wall: Wall) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fewview.synthetic import items, prints, textures
+from fewview.synthetic.classes import Surface
 from fewview.synthetic.items import Patches, clutter, placement
 from fewview.synthetic.surfaces import (
     Patch,
@@ -15,6 +16,7 @@ from fewview.synthetic.surfaces import (
     box_corners,
     covered,
     faced_box,
+    labelled,
     lathed,
     moved,
     printed,
@@ -37,9 +39,9 @@ class Piece:
     size: tuple[float, float, float]
 
 
-def _piece(name: str, patches: Iterable[Patch]) -> Piece:
-    """Centre surfaces on their footprint and measure them."""
-    parts = tuple(patches)
+def _piece(name: str, patches: Iterable[Patch], surface: Surface = Surface.OTHER) -> Piece:
+    """Centre surfaces on their footprint, measure them and name those that have no name."""
+    parts = labelled(patches, surface)
     points = np.concatenate([p.corners.reshape(-1, 3) for p in parts])
     low, high = points.min(axis=0), points.max(axis=0)
     width, depth, _ = high - low
@@ -76,7 +78,8 @@ def chair(rng: Rng, timber: Texture, seat: Texture) -> Patches:
     )
     posts = tuple(box((0.035, 0.035, high), (x, -0.21, 0), timber, rng) for x in (-0.2, 0.2))
     legs = tuple(box((0.035, 0.035, 0.42), (x, 0.2, 0), timber, rng) for x in (-0.2, 0.2))
-    return (box((0.45, 0.45, 0.04), (0, 0, 0.42), seat, rng), *posts, *legs, *slats)
+    sitting = box((0.45, 0.45, 0.04), (0, 0, 0.42), seat, rng)
+    return labelled((sitting, *posts, *legs, *slats), Surface.CHAIR)
 
 
 def dining(rng: Rng) -> Piece:
@@ -84,7 +87,7 @@ def dining(rng: Rng) -> Piece:
     w, d, h = rng.uniform(1.0, 1.9), rng.uniform(0.75, 0.95), rng.uniform(0.72, 0.77)
     timber = _timber(rng)
     seat = textures.fabric(rng, (0.6, 0.6), muted(rng))
-    out = list(table(rng, w, d, h))
+    out = list(labelled(table(rng, w, d, h), Surface.TABLE))
     places = max(1, int((w - 0.2) / 0.6))
     for side, yaw in ((-1, 0.0), (1, np.pi)):
         for place in range(places):
@@ -93,7 +96,7 @@ def dining(rng: Rng) -> Piece:
                 y = side * (0.5 * d + rng.uniform(0.12, 0.22))
                 turn = yaw + rng.normal(0, 0.08)
                 out += moved(chair(rng, timber, seat), placement(x, y, 0, turn))
-    return _piece("dining", out)
+    return _piece("dining", out, Surface.TABLE)
 
 
 def desk(rng: Rng) -> Piece:
@@ -112,7 +115,7 @@ def desk(rng: Rng) -> Piece:
         chair(rng, plain(rng, np.full(3, 50.0)), seat),
         placement(-0.12 * w, 0.5 * d + 0.18, 0, np.pi + rng.normal(0, 0.3)),
     )
-    return _piece("desk", (top, *legs, *drawers, *screen, *things, *sitter))
+    return _piece("desk", (top, *legs, *drawers, *screen, *things, *sitter), Surface.TABLE)
 
 
 def sofa(rng: Rng) -> Piece:
@@ -133,7 +136,7 @@ def sofa(rng: Rng) -> Piece:
             pillow = textures.fabric(rng, (0.45, 0.45), vivid(rng))
             at = placement(x, 0.27 - 0.5 * d, 0.46, rng.normal(0, 0.1))
             parts += moved([box((0.42, 0.12, 0.36), (0, 0, 0), pillow, rng)], at)
-    return _piece("sofa", parts)
+    return _piece("sofa", parts, Surface.SOFA)
 
 
 def bookshelf(rng: Rng) -> Piece:
@@ -156,7 +159,7 @@ def bookshelf(rng: Rng) -> Piece:
                 else clutter(rng, w - 0.1, 0.26, 0, 0.7)
             )
             parts += moved(row, placement(0, 0, z))
-    return _piece("bookshelf", parts)
+    return _piece("bookshelf", parts, Surface.CABINET)
 
 
 def cupboard(rng: Rng) -> Piece:
@@ -171,14 +174,15 @@ def cupboard(rng: Rng) -> Piece:
         *faced_box((w, d, h), (0, 0, 0), timber, face, rng),
         *clutter(rng, w - 0.1, d - 0.08, h),
     )
-    return _piece("cupboard", parts)
+    return _piece("cupboard", parts, Surface.CABINET)
 
 
 def wardrobe(rng: Rng) -> Piece:
     """A tall cupboard."""
     w, d, h = rng.uniform(0.8, 1.8), rng.uniform(0.5, 0.62), rng.uniform(1.8, 2.15)
     face = prints.front(rng, (w, h), muted(rng), round(w / 0.5), int(rng.integers(1, 3)))
-    return _piece("wardrobe", faced_box((w, d, h), (0, 0, 0), _timber(rng, 1.5), face, rng))
+    body = faced_box((w, d, h), (0, 0, 0), _timber(rng, 1.5), face, rng)
+    return _piece("wardrobe", body, Surface.CABINET)
 
 
 def bed(rng: Rng) -> Piece:
@@ -197,7 +201,7 @@ def bed(rng: Rng) -> Piece:
         x = 0.0 if w < 1.2 else (pillow - 0.5) * 0.8
         at = placement(x, 0.38 - 0.5 * d, 0.5, rng.normal(0, 0.1))
         parts += moved([box((0.6, 0.4, 0.12), (0, 0, 0), sheet, rng)], at)
-    return _piece("bed", parts)
+    return _piece("bed", parts, Surface.BED)
 
 
 def kitchen(rng: Rng) -> Piece:
@@ -216,7 +220,7 @@ def kitchen(rng: Rng) -> Piece:
         *faced_box((w, 0.34, 0.65), (0, 0.17 - 0.5 * d, 1.44), body, high, rng),
         *clutter(rng, w - 0.1, d - 0.1, 0.89),
     )
-    return _piece("kitchen", parts)
+    return _piece("kitchen", parts, Surface.CABINET)
 
 
 def media(rng: Rng) -> Piece:
@@ -226,20 +230,23 @@ def media(rng: Rng) -> Piece:
     size = (rng.uniform(0.8, min(w, 1.3)), 0.05)
     case = box_corners((*size, 0.58 * size[0]), (0, -0.05, h + 0.06))
     black = plain(rng, np.full(3, 30.0))
-    parts = (
-        *faced_box((w, d, h), (0, 0, 0), _timber(rng), face, rng),
+    screen = (
         covered(np.delete(case, 2, axis=0), black, rng),
         printed(case[2], prints.screen(rng, (size[0], 0.58 * size[0]), 0.004)),
         box((0.35, 0.2, 0.06), (0, -0.05, h), black, rng),
+    )
+    parts = (
+        *faced_box((w, d, h), (0, 0, 0), _timber(rng), face, rng),
+        *labelled(screen, Surface.OTHER),
         *moved(clutter(rng, w - 0.05, 0.1, h, 0.35), placement(0, 0.13, 0)),
     )
-    return _piece("media", parts)
+    return _piece("media", parts, Surface.CABINET)
 
 
 def coffee_table(rng: Rng) -> Piece:
     """A low table."""
     w, d, h = rng.uniform(0.7, 1.2), rng.uniform(0.5, 0.7), rng.uniform(0.38, 0.48)
-    return _piece("coffee table", table(rng, w, d, h))
+    return _piece("coffee table", table(rng, w, d, h), Surface.TABLE)
 
 
 def armchair(rng: Rng) -> Piece:
@@ -250,7 +257,7 @@ def armchair(rng: Rng) -> Piece:
         box((0.8, 0.18, 0.45), (0, -0.285, 0.45), cloth, rng),
         *(box((0.14, 0.57, 0.18), (x, 0.09, 0.45), cloth, rng) for x in (-0.33, 0.33)),
     )
-    return _piece("armchair", parts)
+    return _piece("armchair", parts, Surface.SOFA)
 
 
 def floor_lamp(rng: Rng) -> Piece:

@@ -7,12 +7,14 @@ from collections.abc import Callable
 import numpy as np
 
 from fewview.synthetic import prints, textures
+from fewview.synthetic.classes import Surface
 from fewview.synthetic.surfaces import (
     Patch,
     ball,
     box,
     box_corners,
     covered,
+    labelled,
     lathed,
     moved,
     printed,
@@ -164,13 +166,14 @@ def monitor(rng: Rng) -> Patches:
     case = box_corners(size, (0, -0.08, 0.1))
     picture = printed(case[2], prints.screen(rng, (width, 0.6 * width)))
     keys = prints.front(rng, (0.6, 0.24), np.full(3, rng.uniform(30, 200)), 14, 5)
-    return (
+    parts = (
         covered(np.delete(case, 2, axis=0), black, rng),
         picture,
         box((0.05, 0.03, 0.12), (0, -0.09, 0), black, rng),
         box((0.2, 0.14, 0.01), (0, -0.08, 0), black, rng),
         printed(box_corners((0.4, 0.14, 0.015), (0, 0.16, 0))[4], keys),
     )
+    return labelled(parts, Surface.OTHER)
 
 
 def table_lamp(rng: Rng, height: float = 0.45, spread: float = 0.28) -> Patches:
@@ -213,4 +216,4 @@ def clutter(rng: Rng, width: float, depth: float, z: float, share: float = 0.7) 
             y = depth * ((row + 0.5) / rows - 0.5)
             item = _ITEMS[rng.integers(len(_ITEMS))](rng)
             out += moved(item, placement(x, y, z, rng.normal(0, 0.2)))
-    return tuple(out)
+    return labelled(out, Surface.OTHER)

@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from fewview.synthetic import prints, textures
+from fewview.synthetic.classes import Surface
 from fewview.synthetic.items import Patches, placement
-from fewview.synthetic.surfaces import Patch, box, box_corners, covered, moved, printed
+from fewview.synthetic.surfaces import Patch, box, box_corners, covered, labelled, moved, printed
 from fewview.synthetic.textures import Rng, Texture, brown, muted, plain
 from fewview.types import Array, BoolArray
 
@@ -141,7 +142,10 @@ def shell(plan: Plan, rng: Rng) -> Patches:
     tone = np.full(3, rng.uniform(175, 240)) * rng.uniform(0.9, 1.0, 3)
     accent = int(rng.integers(len(plan.walls))) if rng.uniform() < 0.6 else -1
     skirting = plain(rng, np.full(3, rng.uniform(120, 235)) if rng.uniform() < 0.7 else brown(rng))
-    out = [_level(plan, 0.0, _floor(rng, plan)), _level(plan, plan.height, _ceiling(rng, plan))]
+    out = [
+        *labelled([_level(plan, 0.0, _floor(rng, plan))], Surface.FLOOR),
+        *labelled([_level(plan, plan.height, _ceiling(rng, plan))], Surface.CEILING),
+    ]
     for number, wall in enumerate(plan.walls):
         size = (wall.length, plan.height)
         texture = _accent(rng, size) if number == accent else textures.paint(rng, size, tone)
@@ -149,7 +153,7 @@ def shell(plan: Plan, rng: Rng) -> Patches:
         for opening in wall.openings:
             parts += _inset(opening, rng)
         parts += _skirting(wall, skirting, rng)
-        out += moved(parts, wall.world_T_wall)
+        out += labelled(moved(parts, wall.world_T_wall), Surface.WALL)
     return tuple(out)
 
 
@@ -228,11 +232,12 @@ def _inset(opening: Opening, rng: Rng) -> Patches:
     if not door:
         bars.append(((width + 2 * edge, 0.1, 0.03), (middle, 0.05, opening.sill - 0.03)))
     pane = hollow[0][[1, 0, 3, 2]]
-    return (
+    parts = (
         printed(pane, picture),
         covered(hollow[[1, 3, 4, 5]][:, ::-1], trim, rng),
         *(box(bar_size, at, trim, rng) for bar_size, at in bars),
     )
+    return labelled(parts, Surface.DOOR if door else Surface.WINDOW)
 
 
 def _skirting(wall: Wall, texture: Texture, rng: Rng) -> Patches:

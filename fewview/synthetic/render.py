@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -54,7 +55,11 @@ def rays(world_T_camera: Array, intrinsics: Intrinsics) -> FloatArray:
 def trace(room: Room, world_T_camera: Array, intrinsics: Intrinsics) -> Hits:
     """Follow one ray through the centre of each pixel."""
     beams = rays(world_T_camera, intrinsics)
-    found = room.scene.cast_rays(o3d.core.Tensor(beams))
+    return hits_of(room, beams, room.scene.cast_rays(o3d.core.Tensor(beams)))
+
+
+def hits_of(room: Room, beams: FloatArray, found: Mapping[str, o3d.core.Tensor]) -> Hits:
+    """What rays (n, 6) meet, of the ray caster's answer."""
     depth = found["t_hit"].numpy()
     met = np.isfinite(depth)
     triangle = np.where(met, found["primitive_ids"].numpy(), 0).astype(np.int64)
@@ -113,8 +118,20 @@ def render(
     return Frame(sensor.photograph(view, rng), sensor.measure(view, rng), intrinsics)
 
 
-def _light(room: Room, hits: Hits, shape: tuple[int, int]) -> FloatArray:
-    """(n,) light that arrives: ambient, and by Lambert's law from each lamp that is not hidden."""
+def lit(room: Room, hits: Hits, focal: float) -> FloatArray:
+    """Colours (n, 3) 0..255 without shadows, for small images of a focal length in pixels."""
+    texel = room.texel_m[hits.quad]
+    footprint = hits.depth / (focal * texel * np.sqrt(np.maximum(hits.cosine, 0.05)))
+    albedo = room.atlas.lookup(room.texture[hits.quad], hits.uv, footprint.astype(np.float32))
+    colour = albedo * _light(room, hits, None)[:, None]
+    return np.asarray(_FILM * (1 - np.exp(colour / -np.float32(_FILM))))
+
+
+def _light(room: Room, hits: Hits, shape: tuple[int, int] | None) -> FloatArray:
+    """(n,) light that arrives: ambient, and by Lambert's law from each lamp that is not hidden.
+
+    Without a shape of the image nothing hides a lamp.
+    """
     total = np.float32(_AMBIENT) * (1 + np.float32(0.2) * np.abs(hits.normals[:, 2]))
     strength = np.float32(1.1 / np.sqrt(len(room.lamps)))
     for lamp in room.lamps:
@@ -122,7 +139,8 @@ def _light(room: Room, hits: Hits, shape: tuple[int, int]) -> FloatArray:
         square = np.einsum("ij,ij->i", way, way)
         cosine = np.einsum("ij,ij->i", way, hits.normals) / np.sqrt(square)
         falloff = strength / (np.float32(0.45) + square / 6)
-        total += np.maximum(cosine, 0) * falloff * _visibility(room, hits, lamp, shape)
+        light = np.maximum(cosine, 0) * falloff
+        total += light if shape is None else light * _visibility(room, hits, lamp, shape)
     return total
 
 

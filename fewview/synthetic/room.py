@@ -7,12 +7,14 @@ from functools import cached_property
 
 import numpy as np
 import open3d as o3d
+from numpy.typing import NDArray
 
 from fewview.synthetic import atlas, furnish, plan
+from fewview.synthetic.classes import Surface
 from fewview.synthetic.furnish import Standing
 from fewview.synthetic.items import Patches
 from fewview.synthetic.plan import Plan
-from fewview.synthetic.surfaces import lathed
+from fewview.synthetic.surfaces import labelled, lathed
 from fewview.synthetic.textures import Image, Rng, plain
 from fewview.types import Array, ColouredMesh, FloatArray, IntArray
 
@@ -31,6 +33,7 @@ class Room:
         uv: (n, 4, 2) float32 texture pixels at the corners.
         texture: (n,) index of each quadrilateral's texture.
         texel_m: (n,) float32 metres a texture pixel covers on the quadrilateral.
+        surface: (n,) uint8 `Surface` of each quadrilateral.
         atlas: the textures.
     """
 
@@ -41,6 +44,7 @@ class Room:
     uv: FloatArray
     texture: IntArray
     texel_m: FloatArray
+    surface: NDArray[np.uint8]
     atlas: atlas.Atlas
 
     @cached_property
@@ -101,7 +105,9 @@ def _lights(outline: Plan, rng: Rng) -> tuple[Array, Patches]:
     glass = plain(rng, np.full(3, 250.0))
     radius, high = rng.uniform(0.15, 0.3), outline.height
     fixtures = tuple(lathed([(radius, -0.09), (radius, 0)], (*s, high), glass) for s in spots)
-    return np.column_stack([spots, np.full(len(spots), high - 0.25)]), fixtures
+    return np.column_stack([spots, np.full(len(spots), high - 0.25)]), labelled(
+        fixtures, Surface.OTHER
+    )
 
 
 def _assembled(outline: Plan, standing: tuple[Standing, ...], lamps: Array, all_: Patches) -> Room:
@@ -118,6 +124,7 @@ def _assembled(outline: Plan, standing: tuple[Standing, ...], lamps: Array, all_
         uv=uv.astype(np.float32),
         texture=np.repeat([number[id(p.texture)] for p in all_], counts),
         texel_m=_texel(corners, uv),
+        surface=np.repeat(np.array([p.surface for p in all_], np.uint8), counts),
         atlas=atlas.pack(textures),
     )
 

@@ -66,6 +66,23 @@ def measure(view: View, rng: Rng) -> FloatArray:
     return np.where(kept, noisy, 0.0).astype(np.float32)
 
 
+def measure_ring(
+    depth: FloatArray, observed: BoolArray, cosine: FloatArray, rng: Rng
+) -> FloatArray:
+    """Depth (S, 4 S) along the camera's axis as a sensor gives it, on the pixels of a ring.
+
+    A ring's pixel stands for one of the sensor's, so the noise is the sensor's own.
+    """
+    disparity = _FOCAL_BASELINE / np.where(observed, depth, 1.0).astype(np.float32)
+    disparity += np.float32(_NOISE_PX) * rng.standard_normal(depth.shape, dtype=np.float32)
+    disparity = np.maximum(np.round(disparity / _STEP_PX) * _STEP_PX, _STEP_PX)
+    chance = rng.random(depth.shape, dtype=np.float32)
+    edges = depth_edges(depth, 0.15)
+    blotches = fractal(rng, (depth.shape[0], depth.shape[1]), depth.shape[1] / 16, 3) > 3.0
+    lost = (cosine < 0.1 + 0.2 * chance) | (edges & (chance < 0.5)) | blotches | (chance > 0.99)
+    return np.where(observed & ~lost, _FOCAL_BASELINE / disparity, 0.0).astype(np.float32)
+
+
 def _correlated(rng: Rng, shape: tuple[int, ...]) -> FloatArray:
     """(H, W) unit noise, equal within blocks of two by two pixels like a matching window's."""
     height, width = shape

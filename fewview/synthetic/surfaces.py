@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fewview.geometry import se3
+from fewview.synthetic.classes import Surface
 from fewview.synthetic.textures import Rng, Texture
 from fewview.types import Array
 
@@ -33,11 +34,18 @@ class Patch:
         uv: (n, 4, 2) pixels of the texture at the corners; beyond its edges the texture goes on
             mirrored.
         texture: what is printed on them.
+        surface: what they are; UNKNOWN until somebody names them, see `labelled`.
     """
 
     corners: Array
     uv: Array
     texture: Texture
+    surface: Surface = Surface.UNKNOWN
+
+
+def labelled(patches: Iterable[Patch], surface: Surface) -> tuple[Patch, ...]:
+    """The same patches, those without a name called ``surface``."""
+    return tuple(p if p.surface else replace(p, surface=surface) for p in patches)
 
 
 def moved(patches: Iterable[Patch], target_T_source: Array) -> tuple[Patch, ...]:

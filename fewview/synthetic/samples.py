@@ -1,0 +1,150 @@
+"""Rooms as completion networks learn from them: complete rings, layouts and planes, and what a
+scan would have measured of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+
+from fewview.geometry import se3
+from fewview.synthetic import handheld, ring
+from fewview.synthetic.floor_map import FloorMap, floor_map, outline_planes
+from fewview.synthetic.handheld import Camera
+from fewview.synthetic.plan import Plan
+from fewview.synthetic.render import Hits, hits_of, lit
+from fewview.synthetic.room import Room, make_room
+from fewview.synthetic.sensor import measure_ring
+from fewview.synthetic.textures import Rng
+from fewview.types import Array, BoolArray, FloatArray
+
+GRID = 64
+"""Cells along each side of a layout."""
+GRID_CELL_M = 0.125
+MOST_PLANES = 24
+
+Bytes = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class RoomSample:
+    """V cameras in one room; S is the size of a ring's face, P the most planes, G = `GRID`.
+
+    Level frame: origin at the camera, z up, x along its heading.
+
+    Attributes:
+        level_T_world: (V, 4, 4).
+        scan_R_level: (V, 3, 3) axes of the cameras as held.
+        colour: (V, S, 4 S, 3) uint8.
+        depth: (V, S, 4 S) float32 metres along the face's axis, 0 unknown.
+        normal: (V, S, 4 S, 3) float32 in the level frame, towards the camera, 0 unknown.
+        semantics: (V, S, 4 S) uint8 `Surface`.
+        observed: (V, S, 4 S) inside the camera's field of view and range.
+        measured: (V, S, 4 S) float32 depth as a sensor gives it where observed, else 0.
+        layout: (V, G, G) uint8 `Ground`; row 0 is 4 m ahead, column 0 is 4 m to the left.
+        planes: (V, P, 4) float32 normal into the room and offset, n . x = d, in the level frame.
+        plane_kind: (V, P) uint8 `PlaneKind`, NONE beyond the last plane.
+    """
+
+    level_T_world: Array
+    scan_R_level: Array
+    colour: Bytes
+    depth: FloatArray
+    normal: FloatArray
+    semantics: Bytes
+    observed: BoolArray
+    measured: FloatArray
+    layout: Bytes
+    planes: FloatArray
+    plane_kind: Bytes
+
+
+def room_sample(seed: int, views: int = 4, size: int = 64) -> RoomSample:
+    """The room of a seed from several places.
+
+    Args:
+        seed: of the room; see `fewview.synthetic.split_seed`.
+        views: number of cameras.
+        size: of a ring's face, pixels.
+
+    Raises:
+        FewviewError: the room has no place to stand.
+    """
+    room = make_room(seed)
+    rng = np.random.default_rng([seed, 1])
+    above = floor_map(room)
+    cameras = handheld.cameras(room, above, views, rng)
+    shape = (views, size, 4 * size)
+    level_T_world = np.stack([camera.level_T_world for camera in cameras])
+    hits = _rings(room, level_T_world, size)
+    depth = np.where(np.isfinite(hits.depth), hits.depth, 0).astype(np.float32).reshape(shape)
+    normal = hits.normals.reshape(views, -1, 3) @ level_T_world[:, :3, :3].swapaxes(1, 2)
+    known = (depth > 0)[..., None]
+    observed, measured = _measured(cameras, depth, hits.cosine.reshape(shape), rng)
+    colour = lit(room, hits, 0.5 * size).reshape(*shape, 3)
+    planes, kinds = _planes(room.plan, level_T_world)
+    return RoomSample(
+        level_T_world=level_T_world,
+        scan_R_level=np.stack([camera.scan_R_level for camera in cameras]),
+        colour=_photographs(colour, rng),
+        depth=depth,
+        normal=np.where(known, normal.reshape(*shape, 3), 0).astype(np.float32),
+        semantics=np.where(depth > 0, room.surface[hits.quad].reshape(shape), np.uint8(0)),
+        observed=observed,
+        measured=measured,
+        layout=np.stack([_layout(above, pose) for pose in level_T_world]),
+        planes=planes,
+        plane_kind=kinds,
+    )
+
+
+def _rings(room: Room, level_T_world: Array, size: int) -> Hits:
+    world_T_level = se3.inverse(level_T_world)
+    directions = ring.rays(size).reshape(1, -1, 3) @ world_T_level[:, :3, :3].swapaxes(1, 2)
+    origins = np.broadcast_to(world_T_level[:, None, :3, 3], directions.shape)
+    beams = np.concatenate([origins, directions], axis=-1).reshape(-1, 6).astype(np.float32)
+    return hits_of(room, beams, room.scene.cast_rays(o3d.core.Tensor(beams)))
+
+
+def _measured(
+    cameras: list[Camera], depth: FloatArray, cosine: FloatArray, rng: Rng
+) -> tuple[BoolArray, FloatArray]:
+    observed, measured = np.zeros(depth.shape, bool), np.zeros_like(depth)
+    for i, camera in enumerate(cameras):
+        inside, slope = ring.seen_by(camera.scan_R_level, camera.half_angles, depth.shape[1])
+        along = depth[i] * slope
+        observed[i] = inside & (along > camera.range_m[0]) & (along < camera.range_m[1])
+        sensed = measure_ring(along, observed[i], cosine[i], rng)
+        measured[i] = np.where(sensed > 0, sensed / np.where(inside, slope, 1), 0)
+    return observed, measured
+
+
+def _photographs(colour: FloatArray, rng: Rng) -> Bytes:
+    """Exposure, white balance and noise of each view."""
+    gain = rng.uniform(0.75, 1.25, (len(colour), 1, 1, 1)) * rng.normal(
+        1, 0.03, (len(colour), 1, 1, 3)
+    )
+    grain = rng.standard_normal(colour.shape, dtype=np.float32)
+    noisy = colour * gain.astype(np.float32) + np.float32(2.5) * grain
+    return np.clip(noisy, 0, 255).astype(np.uint8)
+
+
+def _layout(above: FloorMap, level_T_world: Array) -> Bytes:
+    offset = GRID_CELL_M * (0.5 * (GRID - 1) - np.arange(GRID))
+    x, y = np.meshgrid(offset, offset, indexing="ij")
+    level = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3)
+    world = se3.transform(se3.inverse(level_T_world), level)[:, :2]
+    return above.at(world).reshape(GRID, GRID)
+
+
+def _planes(plan: Plan, level_T_world: Array) -> tuple[FloatArray, Bytes]:
+    world, kinds = outline_planes(plan)
+    normals = world[:, :3] @ level_T_world[:, :3, :3].swapaxes(1, 2)
+    offsets = world[:, 3] + np.einsum("vpi,vi->vp", normals, level_T_world[:, :3, 3])
+    out = np.zeros((len(level_T_world), MOST_PLANES, 4), np.float32)
+    out[:, : len(world)] = np.concatenate([normals, offsets[..., None]], axis=-1)
+    kind = np.zeros(out.shape[:2], np.uint8)
+    kind[:, : len(world)] = kinds
+    return out, kind
