@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -127,7 +128,7 @@ def load_or_draw(path: Path, dataset: Dataset, count: int, seed: int, cache: Pat
     return kept
 
 
-def difficulty(pairs: Sequence[Pair]) -> dict[str, object]:
+def difficulty(pairs: Sequence[Pair]) -> dict[str, Any]:
     """How hard pairs are: their number, shares of the overlap classes and of bins of yaw."""
     overlaps = Counter(overlap_class(pair.overlap) for pair in pairs)
     last = 180 // YAW_BIN_DEG - 1
