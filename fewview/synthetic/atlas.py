@@ -23,24 +23,29 @@ class Atlas:
         image: (H, W, 3) uint8 that holds every level of every texture.
         origin: (textures, levels, 2) float32 x, y of their first pixels.
         size: (textures, levels, 2) float32 width, height.
+        full: (textures, 2) float32 width, height of the textures at full detail.
+        coarser: how many of these pixels one of the finest level covers.
     """
 
     image: Image
     origin: FloatArray
     size: FloatArray
+    full: FloatArray
+    coarser: float
 
     def lookup(self, texture: IntArray, uv: FloatArray, footprint: FloatArray) -> Image:
         """Colours (n, 3) uint8, bilinear in the level that suits each sample.
 
         Args:
             texture: (n,) which texture.
-            uv: (n, 2) pixels of its finest level; beyond its edges the texture is mirrored.
-            footprint: (n,) pixels of the finest level that a sample covers.
+            uv: (n, 2) pixels at full detail; beyond its edges the texture is mirrored.
+            footprint: (n,) pixels at full detail that a sample covers.
         """
-        level = np.clip(np.log2(np.maximum(footprint, 1.0)) + 0.5, 0, _LEVELS - 1).astype(np.int64)
-        full, size = self.size[texture, 0], self.size[texture, level]
-        folded = full - np.abs(np.mod(uv + 0.5, 2 * full) - full)
-        inside = np.clip(folded * (size / full) - 0.5, 0, size - 1)
+        fineness = np.log2(np.maximum(footprint / np.float32(self.coarser), 1.0)) + 0.5
+        level = np.clip(fineness, 0, self.size.shape[1] - 1).astype(np.int64)
+        full, size = self.full[texture], self.size[texture, level]
+        folded = full - np.abs(np.mod(uv + np.float32(0.5), 2 * full) - full)
+        inside = np.clip(folded * (size / full) - np.float32(0.5), 0, size - 1)
         where = np.asarray(self.origin[texture, level] + inside, np.float32)
         return _sample(self.image, where)
 
@@ -53,24 +58,29 @@ def _sample(image: Image, where: FloatArray) -> Image:
     return np.asarray(out.reshape(-1, 3)[: len(where)])
 
 
-def pack(textures: Sequence[Texture]) -> Atlas:
-    """Lay all levels of ``textures`` out on shelves, tallest first."""
-    pieces = [level for t in textures for level in _levels(t.image)]
+def pack(textures: Sequence[Texture], coarser: float = 1.0) -> Atlas:
+    """Paint ``textures`` and lay all their levels out on shelves, tallest first."""
+    pieces = [level for t in textures for level in _levels(t.image(coarser))]
     origin = np.zeros((len(pieces), 2), np.int64)
+    wide = max(_WIDTH if coarser == 1.0 else 1024, max(p.shape[1] for p in pieces))
     x = y = shelf = 0
     for number in sorted(range(len(pieces)), key=lambda i: -pieces[i].shape[0]):
         height, width = pieces[number].shape[:2]
-        if x + width > _WIDTH:
+        if x + width > wide:
             x, y, shelf = 0, y + shelf, 0
         origin[number] = x, y
         x, shelf = x + width, max(shelf, height)
-    image = np.zeros((y + shelf, _WIDTH, 3), np.uint8)
-    for piece, (left, top) in zip(pieces, origin, strict=True):
+    image = np.zeros((y + shelf, wide, 3), np.uint8)
+    for piece, (left, top) in zip(pieces, origin.tolist(), strict=True):
         image[top : top + piece.shape[0], left : left + piece.shape[1]] = piece
-    size = np.array([p.shape[1::-1] for p in pieces])
+    size = np.array([p.shape[1::-1] for p in pieces], np.float32)
     layout = (len(textures), _LEVELS, 2)
     return Atlas(
-        image, origin.reshape(layout).astype(np.float32), size.reshape(layout).astype(np.float32)
+        image=image,
+        origin=origin.reshape(layout).astype(np.float32),
+        size=size.reshape(layout),
+        full=np.array([t.size for t in textures], np.float32),
+        coarser=coarser,
     )
 
 

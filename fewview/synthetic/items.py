@@ -13,13 +13,14 @@ from fewview.synthetic.surfaces import (
     ball,
     box,
     box_corners,
+    boxes_corners,
     covered,
     labelled,
     lathed,
     moved,
     printed,
 )
-from fewview.synthetic.textures import Rng, muted, plain, vivid
+from fewview.synthetic.textures import Rng, Texture, muted, plain, vivid
 from fewview.types import Array
 
 Patches = tuple[Patch, ...]
@@ -31,30 +32,36 @@ def placement(x: float, y: float, z: float, yaw: float = 0.0) -> Array:
     return np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, z], [0, 0, 0, 1]])
 
 
-def book(rng: Rng, size: tuple[float, float, float]) -> Patches:
-    """A standing book, spine towards +y."""
-    faces = box_corners(size, (0, 0, 0))
-    cover = covered(np.delete(faces, [2, 4], axis=0), plain(rng, vivid(rng)), rng)
-    edge = covered(faces[4:5], plain(rng, np.full(3, 225.0)), rng)
-    return cover, edge, printed(faces[2], prints.spine(rng, (size[0], size[2])))
-
-
 def book_row(rng: Rng, width: float, depth: float, height: float) -> Patches:
     """Books side by side from the left, spines towards +y, at most ``width`` in all."""
-    out: list[Patch] = []
-    x, tallest = -0.5 * width, 0.92 * height
-    while True:
-        size = (
-            rng.uniform(0.018, 0.06),
-            rng.uniform(0.6, 0.9) * depth,
-            rng.uniform(0.65, 1) * tallest,
-        )
-        if x + size[0] > 0.5 * width:
-            return tuple(out)
-        if rng.uniform() < 0.93:
-            at = placement(x + 0.5 * size[0], 0.5 * (depth - size[1]) - rng.uniform(0, 0.03), 0)
-            out += moved(book(rng, size), at)
-        x += size[0] + 0.001
+    thick = rng.uniform(0.018, 0.06, max(2, int(width / 0.018)))
+    thick = thick[: max(1, np.searchsorted(np.cumsum(thick), width))]
+    n = len(thick)
+    deep = rng.uniform(0.6, 0.9, n) * depth
+    size = np.stack([thick, deep, rng.uniform(0.6, 0.92, n) * height], axis=-1)
+    left = np.cumsum(thick) - 0.5 * thick - 0.5 * width
+    back = 0.5 * (depth - deep) - rng.uniform(0, 0.03, n)
+    bottoms = np.stack([left, back, np.zeros(n)], axis=-1)
+    there = rng.uniform(size=n) < 0.93
+    faces = boxes_corners(size[there], bottoms[there])
+    spines = prints.spines(rng, thick[there], 0.92 * height)
+    paper = covered(faces[:, 4], plain(rng, np.full(3, 225.0)), rng)
+    edges = np.append(0, np.cumsum(thick[there])) / spines.texel_m
+    return *_bound(faces, edges, spines), paper
+
+
+def _bound(faces: Array, edges: Array, spines: Texture) -> Patches:
+    """Backs (+y) that show their part of the picture, and covers that show a line of it."""
+    low = np.full(len(faces), spines.size[1]) - 0.5
+    high = low - (faces[:, 2, 2, 2] - faces[:, 2, 0, 2]) / spines.texel_m
+    left, right = edges[:-1], edges[1:]
+    middle = 0.5 * (left + right)
+    backs, sides = (
+        np.stack([np.stack([x0, x1, x1, x0], 1) - 0.5, np.stack([low, low, high, high], 1)], -1)
+        for x0, x1 in ((left, right), (middle, middle))
+    )
+    covers = faces[:, [1, 3]].reshape(-1, 4, 3)
+    return Patch(faces[:, 2], backs, spines), Patch(covers, np.repeat(sides, 2, axis=0), spines)
 
 
 def book_pile(rng: Rng) -> Patches:

@@ -122,7 +122,9 @@ def lit(room: Room, hits: Hits, focal: float) -> FloatArray:
     """Colours (n, 3) 0..255 without shadows, for small images of a focal length in pixels."""
     texel = room.texel_m[hits.quad]
     footprint = hits.depth / (focal * texel * np.sqrt(np.maximum(hits.cosine, 0.05)))
-    albedo = room.atlas.lookup(room.texture[hits.quad], hits.uv, footprint.astype(np.float32))
+    albedo = room.coarse_atlas.lookup(
+        room.texture[hits.quad], hits.uv, footprint.astype(np.float32)
+    )
     colour = albedo * _light(room, hits, None)[:, None]
     return np.asarray(_FILM * (1 - np.exp(colour / -np.float32(_FILM))))
 

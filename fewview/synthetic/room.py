@@ -9,15 +9,17 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from fewview.synthetic import atlas, furnish, plan
+from fewview.synthetic import furnish, plan
+from fewview.synthetic.atlas import Atlas, pack
 from fewview.synthetic.classes import Surface
 from fewview.synthetic.furnish import Standing
 from fewview.synthetic.items import Patches
 from fewview.synthetic.plan import Plan
 from fewview.synthetic.surfaces import labelled, lathed
-from fewview.synthetic.textures import Image, Rng, plain
+from fewview.synthetic.textures import Image, Rng, Texture, plain
 from fewview.types import Array, ColouredMesh, FloatArray, IntArray
 
+_COARSER = 4.0
 _TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
@@ -34,7 +36,7 @@ class Room:
         texture: (n,) index of each quadrilateral's texture.
         texel_m: (n,) float32 metres a texture pixel covers on the quadrilateral.
         surface: (n,) uint8 `Surface` of each quadrilateral.
-        atlas: the textures.
+        textures: what is printed on them.
     """
 
     plan: Plan
@@ -45,7 +47,17 @@ class Room:
     texture: IntArray
     texel_m: FloatArray
     surface: NDArray[np.uint8]
-    atlas: atlas.Atlas
+    textures: tuple[Texture, ...]
+
+    @cached_property
+    def atlas(self) -> Atlas:
+        """The textures at full detail."""
+        return pack(self.textures)
+
+    @cached_property
+    def coarse_atlas(self) -> Atlas:
+        """The textures for small images, quick to paint."""
+        return pack(self.textures, _COARSER)
 
     @cached_property
     def scene(self) -> o3d.t.geometry.RaycastingScene:
@@ -125,7 +137,7 @@ def _assembled(outline: Plan, standing: tuple[Standing, ...], lamps: Array, all_
         texture=np.repeat([number[id(p.texture)] for p in all_], counts),
         texel_m=_texel(corners, uv),
         surface=np.repeat(np.array([p.surface for p in all_], np.uint8), counts),
-        atlas=atlas.pack(textures),
+        textures=tuple(textures),
     )
 
 

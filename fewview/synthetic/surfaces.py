@@ -71,21 +71,25 @@ def covered(corners: Array, texture: Texture, rng: Rng) -> Patch:
     unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
     uv = unit * np.stack([along, up], axis=-1)[:, None] / texture.texel_m
     uv = np.where((up > along)[:, None, None], uv[..., ::-1], uv)
-    height, width = texture.image.shape[:2]
-    return Patch(corners, uv + rng.uniform(0, (width, height), (len(corners), 1, 2)), texture)
+    return Patch(corners, uv + rng.uniform(0, texture.size, (len(corners), 1, 2)), texture)
 
 
 def printed(corners: Array, texture: Texture) -> Patch:
     """Stretch a whole picture over one quadrilateral (4, 3), bottom left corner first."""
-    height, width = texture.image.shape[:2]
+    width, height = texture.size
     uv = np.array([[0, height], [width, height], [width, 0], [0, 0]], dtype=np.float64) - 0.5
     return Patch(corners[None], uv[None], texture)
 
 
+def boxes_corners(sizes: Array, bottoms: Array) -> Array:
+    """(n, 6, 4, 3) of boxes (n, 3); see `box_corners`."""
+    low = bottoms - sizes * [0.5, 0.5, 0.0]
+    return np.asarray(_BOX_FACES * sizes[:, None, None] + low[:, None, None])
+
+
 def box_corners(size: Sequence[float], bottom: Sequence[float]) -> Array:
     """(6, 4, 3) faces -y, +x, +y, -x, +z, -z of a box whose base is centred on ``bottom``."""
-    low = np.array(bottom) - np.array([0.5 * size[0], 0.5 * size[1], 0.0])
-    return np.asarray(_BOX_FACES * np.array(size) + low)
+    return np.asarray(boxes_corners(np.array([size]), np.array([bottom]))[0])
 
 
 def box(size: Sequence[float], bottom: Sequence[float], texture: Texture, rng: Rng) -> Patch:

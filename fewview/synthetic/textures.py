@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -17,15 +18,32 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """A colour image that is laid on surfaces.
+    """A colour image that is laid on surfaces, painted when it is asked for.
 
     Attributes:
-        image: (h, w, 3) uint8, RGB.
-        texel_m: edge of one of its pixels on the surface, metres.
+        size: (width, height) in pixels at full detail.
+        texel_m: edge of one of these pixels on the surface, metres.
+        painter: from the edge of a pixel, metres, to the (h, w, 3) uint8 RGB image.
     """
 
-    image: Image
+    size: tuple[int, int]
     texel_m: float
+    painter: Callable[[float], Image]
+
+    def image(self, coarser: float = 1.0) -> Image:
+        """The image with pixels ``coarser`` times as large as at full detail."""
+        return self.painter(coarser * self.texel_m)
+
+
+def painted(
+    rng: Rng, size_m: tuple[float, float], texel_m: float, paint: Callable[[Rng, float], Image]
+) -> Texture:
+    """A texture whose painter has a source of chance of its own, seeded from ``rng``."""
+    seed = int(rng.integers(2**63))
+    height, width = pixels(size_m, texel_m)
+    return Texture(
+        (width, height), texel_m, lambda texel: paint(np.random.default_rng(seed), texel)
+    )
 
 
 def colour(rng: Rng, saturation: tuple[float, float], value: tuple[float, float]) -> Array:
@@ -86,14 +104,19 @@ def mixed(first: Array, second: Array, weight: FloatArray) -> FloatArray:
     return np.asarray(start + step * np.clip(weight, 0, 1, dtype=np.float32)[..., None])
 
 
-def _pixels(size_m: tuple[float, float], texel_m: float) -> tuple[int, int]:
+def pixels(size_m: tuple[float, float], texel_m: float) -> tuple[int, int]:
+    """(h, w) of an image of a (width, height) in metres."""
     return max(4, round(size_m[1] / texel_m)), max(4, round(size_m[0] / texel_m))
 
 
 def plain(rng: Rng, base: Array) -> Texture:
     """Plastic, china, metal or lacquer: nearly uniform."""
-    noise = rng.standard_normal((24, 24), dtype=np.float32)
-    return Texture(shade(base, np.float32(0.012) * noise), 0.012)
+
+    def image(rng: Rng, texel: float) -> Image:
+        shape = pixels((0.288, 0.288), texel)
+        return shade(base, np.float32(0.012) * rng.standard_normal(shape, dtype=np.float32))
+
+    return painted(rng, (0.288, 0.288), 0.012, image)
 
 
 def laid(
@@ -125,125 +148,168 @@ def laid(
 
 def paint(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.008) -> Texture:
     """Painted plaster: almost plain, with a faint unevenness and a few scuffs."""
-    shape = _pixels(size_m, texel_m)
-    field = 0.012 * fractal(rng, shape, 1.0 / texel_m, 3) + 0.008 * fractal(rng, shape, 4, 2)
-    scuffs = fractal(rng, shape, 0.12 / texel_m, 3)
-    field -= 0.1 * np.clip(scuffs - 2.9, 0, 1)
-    return Texture(shade(base, field), texel_m)
+
+    def image(rng: Rng, texel: float) -> Image:
+        shape = pixels(size_m, texel)
+        field = 0.012 * fractal(rng, shape, 1.0 / texel, 3) + 0.008 * fractal(rng, shape, 4, 2)
+        scuffs = fractal(rng, shape, 0.12 / texel, 3)
+        field -= 0.1 * np.clip(scuffs - 2.9, 0, 1)
+        return shade(base, field)
+
+    return painted(rng, size_m, texel_m, image)
 
 
 def wood(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.004) -> Texture:
     """Boards with grain along x."""
-    shape = _pixels(size_m, texel_m)
-    warp = fractal(rng, shape, 0.12 / texel_m, 3, stretch=5.0)
-    rows = np.arange(shape[0], dtype=np.float32)[:, None] * np.float32(60 * texel_m)
-    lines = np.sin(warp * np.float32(rng.uniform(3, 7)) + rows)
-    fine = fractal(rng, shape, 3, 2, stretch=12.0)
-    shades, _, joints = laid(rng, shape, (9e9, rng.uniform(0.12, 0.3) / texel_m), False, 1)
-    field = 0.07 * lines + 0.05 * fine + 0.06 * shades - np.float32(0.25) * joints
-    return Texture(shade(base, field), texel_m)
+
+    def image(rng: Rng, texel: float) -> Image:
+        shape = pixels(size_m, texel)
+        swirl, board = np.float32(rng.uniform(3, 7)), rng.uniform(0.12, 0.3) / texel
+        warp = fractal(rng, shape, 0.12 / texel, 3, stretch=5.0)
+        rows = np.arange(shape[0], dtype=np.float32)[:, None] * np.float32(60 * texel)
+        lines = np.sin(warp * swirl + rows)
+        fine = fractal(rng, shape, 3, 2, stretch=12.0)
+        shades, _, joints = laid(rng, shape, (9e9, board), False, 1)
+        field = 0.07 * lines + 0.05 * fine + 0.06 * shades - np.float32(0.25) * joints
+        return shade(base, field)
+
+    return painted(rng, size_m, texel_m, image)
 
 
 def fabric(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.004) -> Texture:
     """Upholstery and blankets: woven, plain, striped, checked or blotched with a second colour."""
-    shape = _pixels(size_m, texel_m)
-    y, x = np.indices(shape, dtype=np.float32)
-    wobble = fractal(rng, shape, 30, 2)
-    period = rng.uniform(0.05, 0.16) / texel_m
-    stripes = [np.sin(2 * np.pi * (axis + wobble) / period) > 0.3 for axis in (x, y)]
-    patterns = (
-        np.zeros(shape),
-        stripes[0],
-        0.5 * (stripes[0].astype(np.float32) + stripes[1]),
-        fractal(rng, shape, 0.15 / texel_m, 3) > 0.4,
-    )
-    pattern = patterns[rng.integers(len(patterns))]
-    body = mixed(base, muted(rng), 0.7 * np.asarray(pattern, np.float32))
-    field = 0.07 * fractal(rng, shape, 0.25 / texel_m, 2) + 0.06 * fractal(rng, shape, 2, 1)
-    return Texture(shade(body, field), texel_m)
+
+    def image(rng: Rng, texel: float) -> Image:
+        shape = pixels(size_m, texel)
+        kind, second, period = rng.integers(4), muted(rng), rng.uniform(0.05, 0.16) / texel
+        pattern = np.zeros(shape, np.float32)
+        if kind in (1, 2):
+            wobble = fractal(rng, shape, 30, 2)
+            for axis in np.indices(shape, dtype=np.float32)[:kind]:
+                stripes = np.sin(np.float32(2 * np.pi / period) * (axis + wobble)) > 0.3
+                pattern += stripes / np.float32(kind)
+        elif kind == 3:
+            pattern += fractal(rng, shape, 0.15 / texel, 3) > 0.4
+        body = mixed(base, second, 0.7 * pattern)
+        field = 0.07 * fractal(rng, shape, 0.25 / texel, 2) + 0.06 * fractal(rng, shape, 2, 1)
+        return shade(body, field)
+
+    return painted(rng, size_m, texel_m, image)
 
 
 def stone(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.004) -> Texture:
     """Speckled counter tops and pots."""
-    shape = _pixels(size_m, texel_m)
-    field = 0.1 * fractal(rng, shape, 3, 2) + 0.06 * fractal(rng, shape, 0.3 / texel_m, 3)
-    return Texture(shade(base, field), texel_m)
+
+    def image(rng: Rng, texel: float) -> Image:
+        shape = pixels(size_m, texel)
+        field = 0.1 * fractal(rng, shape, 3, 2) + 0.06 * fractal(rng, shape, 0.3 / texel, 3)
+        return shade(base, field)
+
+    return painted(rng, size_m, texel_m, image)
 
 
 def tiles(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.005) -> Texture:
     """Square tiles of slightly different shade with joints."""
-    shape = _pixels(size_m, texel_m)
-    edge = rng.choice([0.1, 0.2, 0.3, 0.45]) / texel_m
-    shades, _, joints = laid(rng, shape, (edge, edge), False, max(1.0, 0.006 / texel_m))
-    marble = fractal(rng, shape, 0.25 / texel_m, 4)
-    field = 0.05 * shades + 0.05 * marble - np.float32(rng.uniform(0.15, 0.4)) * joints
-    return Texture(shade(base, field), texel_m)
+
+    def image(rng: Rng, texel: float) -> Image:
+        shape = pixels(size_m, texel)
+        edge = rng.choice([0.1, 0.2, 0.3, 0.45]) / texel
+        gap = np.float32(rng.uniform(0.15, 0.4))
+        shades, _, joints = laid(rng, shape, (edge, edge), False, max(1.0, 0.006 / texel))
+        marble = fractal(rng, shape, 0.25 / texel, 4)
+        field = 0.05 * shades + 0.05 * marble - gap * joints
+        return shade(base, field)
+
+    return painted(rng, size_m, texel_m, image)
 
 
 def brick(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.006) -> Texture:
     """A wall of bare brick."""
-    shape = _pixels(size_m, texel_m)
-    unit = (0.24 / texel_m, 0.08 / texel_m)
-    shades, _, joints = laid(rng, shape, unit, True, 0.012 / texel_m)
-    body = np.where(joints[..., None], 175.0, np.asarray(base)).astype(np.float32)
-    field = 0.13 * shades * ~joints + 0.08 * fractal(rng, shape, 12, 3)
-    return Texture(shade(body, field), texel_m)
+
+    def image(rng: Rng, texel: float) -> Image:
+        shape = pixels(size_m, texel)
+        unit = (0.24 / texel, 0.08 / texel)
+        shades, _, joints = laid(rng, shape, unit, True, 0.012 / texel)
+        body = np.where(joints[..., None], 175.0, np.asarray(base)).astype(np.float32)
+        field = 0.13 * shades * ~joints + 0.08 * fractal(rng, shape, 12, 3)
+        return shade(body, field)
+
+    return painted(rng, size_m, texel_m, image)
 
 
 def parquet(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.006) -> Texture:
     """A floor of planks, each with its own shade and grain."""
-    shape = _pixels(size_m, texel_m)
-    unit = (rng.uniform(0.6, 1.6) / texel_m, rng.uniform(0.08, 0.2) / texel_m)
-    shades, number, joints = laid(rng, shape, unit, True, 1)
-    grain = fractal(rng, shape, 4, 2, stretch=15.0)
-    rings = np.sin(
-        2.5 * fractal(rng, shape, 0.15 / texel_m, 2, stretch=4.0) + number.astype(np.float32)
-    )
-    field = 0.1 * shades + 0.05 * grain + 0.05 * rings - np.float32(0.35) * joints
-    return Texture(shade(base, field), texel_m)
+
+    def image(rng: Rng, texel: float) -> Image:
+        shape = pixels(size_m, texel)
+        unit = (rng.uniform(0.6, 1.6) / texel, rng.uniform(0.08, 0.2) / texel)
+        shades, number, joints = laid(rng, shape, unit, True, 1)
+        grain = fractal(rng, shape, 4, 2, stretch=15.0)
+        rings = np.sin(
+            2.5 * fractal(rng, shape, 0.15 / texel, 2, stretch=4.0) + number.astype(np.float32)
+        )
+        field = 0.1 * shades + 0.05 * grain + 0.05 * rings - np.float32(0.35) * joints
+        return shade(base, field)
+
+    return painted(rng, size_m, texel_m, image)
 
 
 def carpet(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.006) -> Texture:
     """A woven floor covering: mottled, or lines of changing shade in squares."""
-    shape = _pixels(size_m, texel_m)
-    pile = 0.1 * fractal(rng, shape, 3, 2) + 0.05 * fractal(rng, shape, 0.5 / texel_m, 3)
-    if rng.uniform() < 0.5:
-        return Texture(shade(base, pile), texel_m)
-    lines, _, _ = laid(rng, shape, (rng.uniform(0.2, 1.2) / texel_m, 2), True, 0)
-    return Texture(shade(base, pile + np.float32(0.16) * lines), texel_m)
+
+    def image(rng: Rng, texel: float) -> Image:
+        shape = pixels(size_m, texel)
+        lined = rng.uniform() < 0.5
+        pile = 0.1 * fractal(rng, shape, 3, 2) + 0.05 * fractal(rng, shape, 0.5 / texel, 3)
+        if not lined:
+            return shade(base, pile)
+        lines, _, _ = laid(rng, shape, (rng.uniform(0.2, 1.2) / texel, 2), True, 0)
+        return shade(base, pile + np.float32(0.16) * lines)
+
+    return painted(rng, size_m, texel_m, image)
 
 
 def rug(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.005) -> Texture:
     """A patterned rug: border, checks of irregular sizes, medallions."""
-    shape = _pixels(size_m, texel_m)
-    image = np.full((*shape, 3), base, np.float32)
-    xs = np.cumsum(rng.uniform(0.08, 0.3, 40) / texel_m).astype(int)
-    ys = np.cumsum(rng.uniform(0.08, 0.3, 40) / texel_m).astype(int)
-    palette = [muted(rng) for _ in range(4)]
-    for x, y in rng.integers(0, 39, (160, 2)):
-        corner = (int(xs[x]), int(ys[y])), (int(xs[x + 1]), int(ys[y + 1]))
-        cv2.rectangle(image, *corner, palette[(x + y) % 4].tolist(), -1)
-    for x, y in rng.uniform(0.1, 0.9, (8, 2)):
-        centre = (int(x * shape[1]), int(y * shape[0]))
-        radius = int(rng.uniform(0.03, 0.12) / texel_m)
-        cv2.circle(image, centre, radius, palette[radius % 4].tolist(), int(rng.integers(2, 9)))
-    border = int(0.06 / texel_m)
-    cv2.rectangle(image, (0, 0), (shape[1] - 1, shape[0] - 1), palette[0].tolist(), border)
-    return Texture(shade(image, 0.09 * fractal(rng, shape, 4, 2)), texel_m)
+
+    def image(rng: Rng, texel: float) -> Image:
+        shape = pixels(size_m, texel)
+        image = np.full((*shape, 3), base, np.float32)
+        xs = np.cumsum(rng.uniform(0.08, 0.3, 40) / texel).astype(int)
+        ys = np.cumsum(rng.uniform(0.08, 0.3, 40) / texel).astype(int)
+        palette = [muted(rng) for _ in range(4)]
+        for x, y in rng.integers(0, 39, (160, 2)):
+            corner = (int(xs[x]), int(ys[y])), (int(xs[x + 1]), int(ys[y + 1]))
+            cv2.rectangle(image, *corner, palette[(x + y) % 4].tolist(), -1)
+        for x, y in rng.uniform(0.1, 0.9, (8, 2)):
+            centre = (int(x * shape[1]), int(y * shape[0]))
+            radius = int(rng.uniform(0.03, 0.12) / texel)
+            cv2.circle(image, centre, radius, palette[radius % 4].tolist(), int(rng.integers(2, 9)))
+        border = int(0.06 / texel)
+        cv2.rectangle(image, (0, 0), (shape[1] - 1, shape[0] - 1), palette[0].tolist(), border)
+        return shade(image, 0.09 * fractal(rng, shape, 4, 2))
+
+    return painted(rng, size_m, texel_m, image)
 
 
-def wallpaper(rng: Rng, size_m: tuple[float, float], base: Array, texel: float = 0.006) -> Texture:
+def wallpaper(
+    rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.006
+) -> Texture:
     """Paper with loosely scattered motifs, or stripes of changing width, in a near colour."""
-    shape = _pixels(size_m, texel)
-    image = np.full((*shape, 3), base, np.float32)
-    tint = (base * rng.uniform(0.7, 0.9)).tolist()
-    if rng.uniform() < 0.5:
-        edges = np.cumsum(rng.uniform(0.05, 0.2, 200) / texel).astype(int)
-        for left, right in edges.reshape(-1, 2):
-            image[:, left:right] = tint
-    else:
-        for _ in range(int(14 * size_m[0] * size_m[1])):
-            centre = (int(rng.integers(shape[1])), int(rng.integers(shape[0])))
-            axes = (int(rng.uniform(0.01, 0.04) / texel), int(rng.uniform(0.02, 0.06) / texel))
-            cv2.ellipse(image, centre, axes, rng.uniform(0, 180), 0, 360, tint, -1)
-    return Texture(shade(image, 0.012 * fractal(rng, shape, 100, 4)), texel)
+
+    def image(rng: Rng, texel: float) -> Image:
+        shape = pixels(size_m, texel)
+        image = np.full((*shape, 3), base, np.float32)
+        tint = (base * rng.uniform(0.7, 0.9)).tolist()
+        if rng.uniform() < 0.5:
+            edges = np.cumsum(rng.uniform(0.05, 0.2, 200) / texel).astype(int)
+            for left, right in edges.reshape(-1, 2):
+                image[:, left:right] = tint
+        else:
+            for _ in range(int(14 * size_m[0] * size_m[1])):
+                centre = (int(rng.integers(shape[1])), int(rng.integers(shape[0])))
+                axes = (int(rng.uniform(0.01, 0.04) / texel), int(rng.uniform(0.02, 0.06) / texel))
+                cv2.ellipse(image, centre, axes, rng.uniform(0, 180), 0, 360, tint, -1)
+        return shade(image, 0.012 * fractal(rng, shape, 100, 4))
+
+    return painted(rng, size_m, texel_m, image)
