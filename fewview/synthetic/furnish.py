@@ -12,7 +12,7 @@ from fewview.synthetic.classes import Surface
 from fewview.synthetic.decoration import HANGING
 from fewview.synthetic.furniture import Piece
 from fewview.synthetic.items import Patches, placement
-from fewview.synthetic.plan import Opening, OpeningKind, Plan, Wall
+from fewview.synthetic.plan import Opening, OpeningKind, Plan, Wall, overlaps
 from fewview.synthetic.surfaces import Patch, box, box_corners, labelled, moved, printed
 from fewview.synthetic.textures import Rng, muted
 from fewview.types import Array
@@ -107,17 +107,6 @@ def footprint_of(piece: Piece, world_T_piece: Array) -> Array:
     return np.asarray(corners @ world_T_piece[:2, :2].T + world_T_piece[:2, 3])
 
 
-def overlaps(a: Array, b: Array) -> bool:
-    """Whether two convex polygons (n, 2) overlap (separating axes)."""
-    for polygon in (a, b):
-        edges = np.roll(polygon, -1, axis=0) - polygon
-        for normal in edges[:, ::-1] * [1, -1]:
-            low, high = a @ normal, b @ normal
-            if low.max() <= high.min() or high.max() <= low.min():
-                return False
-    return True
-
-
 def _contains(polygon: Array, point: Array) -> bool:
     edges = np.roll(polygon, -1, axis=0) - polygon
     to_point = point - polygon
@@ -133,7 +122,7 @@ def _doorways(plan: Plan) -> list[Array]:
     out = []
     for wall in plan.walls:
         for o in wall.openings:
-            if o.kind is OpeningKind.DOOR:
+            if o.kind is not OpeningKind.WINDOW:
                 way = np.array([[o.left, 0.0], [o.right, 0.0], [o.right, 0.9], [o.left, 0.9]])
                 out.append(way @ wall.world_T_wall[:2, :2].T + wall.start)
     return out
@@ -218,7 +207,7 @@ def _spread_rug(room: _Furnishing, piece: Piece, at: Array) -> None:
 def _dress_windows(room: _Furnishing, wall: Wall) -> None:
     rng = room.rng
     for o in wall.openings:
-        if o.kind is OpeningKind.DOOR or rng.uniform() < 0.4:
+        if o.kind is not OpeningKind.WINDOW or rng.uniform() < 0.4:
             continue
         cloth = textures.fabric(rng, (0.6, 1.4), muted(rng))
         size = (0.26, 0.05, o.top - o.sill + 0.1)

@@ -10,8 +10,9 @@ from fewview.errors import FewviewError
 from fewview.geometry import se3
 from fewview.synthetic.camera import look
 from fewview.synthetic.classes import Ground
-from fewview.synthetic.floor_map import FloorMap
-from fewview.synthetic.room import Room
+from fewview.synthetic.floor_map import CELL_M, FloorMap
+from fewview.synthetic.items import placement
+from fewview.synthetic.plan import Plan
 from fewview.synthetic.textures import Rng
 from fewview.types import Array
 
@@ -38,36 +39,41 @@ class Camera:
     range_m: tuple[float, float]
 
 
-def cameras(room: Room, above: FloorMap, count: int, rng: Rng) -> list[Camera]:
-    """Independent views from free places, most of them with some room ahead.
+def cameras(plan: Plan, above: FloorMap, count: int, rng: Rng) -> list[Camera]:
+    """Independent views from free places, most of them with some space ahead.
+
+    Rooms next door are taken as often as their floor is large.
 
     Raises:
         FewviewError: there is no place to stand.
     """
     for clearance in _CLEARANCES_M:
-        places = above.places(clearance)
-        if len(places):
-            return [_camera(places, above, room.plan.height, rng) for _ in range(count)]
+        places = [above.places(clearance, number) for number in range(len(plan.rooms))]
+        if sum(map(len, places)):
+            weights = np.array([len(p) for p in places], np.float64)
+            rooms = rng.choice(len(places), count, p=weights / weights.sum())
+            return [_camera(places[i], plan.rooms[i], above, rng) for i in rooms]
     raise FewviewError("the room has no place to stand; take another seed")
 
 
-def _camera(places: Array, above: FloorMap, height: float, rng: Rng) -> Camera:
+def _camera(places: Array, plan: Plan, above: FloorMap, rng: Rng) -> Camera:
     place, yaw = _heading(places, above, rng)
-    eye = np.append(place, rng.uniform(1.0, min(1.8, height - 0.4)))
+    highest = min(1.8, float(plan.height_at(place[None])[0]) - 0.25)
+    eye = np.append(place, rng.uniform(min(1.0, highest - 0.1), highest))
     pitch, roll = rng.uniform(np.radians(-35), np.radians(15)), np.radians(rng.uniform(-6, 6))
     held = look(np.zeros(3), 0.0, pitch, roll)[:3, :3]
     kind = rng.integers(len(_LENSES_DEG))
     width, high = 0.5 * np.radians(_LENSES_DEG[kind])
-    level = look(eye, yaw, 0.0, 0.0)[:3, :3] @ look(np.zeros(3), 0.0, 0.0, 0.0)[:3, :3].T
-    return Camera(se3.inverse(se3.pose(level, eye)), held.T, (width, high), _RANGES_M[kind])
+    world_T_level = placement(float(eye[0]), float(eye[1]), float(eye[2]), yaw)
+    return Camera(se3.inverse(world_T_level), held.T, (width, high), _RANGES_M[kind])
 
 
 def _heading(places: Array, above: FloorMap, rng: Rng) -> tuple[Array, float]:
     """A place and a direction; directions straight into a wall are tried again, a few times."""
     for _ in range(4):
-        place = places[rng.integers(len(places))]
+        place = places[rng.integers(len(places))] + rng.uniform(-0.5, 0.5, 2) * CELL_M
         yaw = float(rng.uniform(-np.pi, np.pi))
         ahead = np.linspace(0, _AHEAD_M, 13)[:, None] * [np.cos(yaw), np.sin(yaw)]
-        if (above.at(place + ahead) != Ground.WALL).all():
+        if (above.at(place + ahead)[0] != Ground.WALL).all():
             break
     return place, yaw

@@ -1,37 +1,47 @@
-"""The shell of a room: an outline, walls with doors and windows, floor and ceiling."""
+"""The plan of a room: its outline, ceilings, walls with doors and windows, and rooms next door."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 
 import numpy as np
 
-from fewview.synthetic import prints, textures
-from fewview.synthetic.classes import Surface
-from fewview.synthetic.items import Patches, placement
-from fewview.synthetic.surfaces import Patch, box, box_corners, covered, labelled, moved, printed
-from fewview.synthetic.textures import Rng, Texture, brown, muted, plain
-from fewview.types import Array, BoolArray
+from fewview.synthetic import ceilings
+from fewview.synthetic.items import placement
+from fewview.synthetic.shapes import Shape, make_shape, rectangle
+from fewview.synthetic.textures import Rng
+from fewview.types import Array, BoolArray, IntArray
 
 
 class OpeningKind(StrEnum):
-    """What is inset in a wall."""
+    """What is inset in a wall; a passage leads into the room next door."""
 
     DOOR = "door"
     WINDOW = "window"
+    PASSAGE = "passage"
 
 
 @dataclass(frozen=True)
 class Opening:
-    """A rectangle of a wall: ``left``..``right`` along it, ``sill``..``top`` above the floor."""
+    """A rectangle of a wall.
+
+    Attributes:
+        kind: what is in it.
+        left: where it begins along the wall, metres.
+        right: where it ends.
+        sill: height of its lower edge.
+        top: height of its upper edge.
+        deep: how far the leaf or pane stands back, or how thick the wall is at a passage.
+    """
 
     kind: OpeningKind
     left: float
     right: float
     sill: float
     top: float
+    deep: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,22 +68,45 @@ class Wall:
         yaw = float(np.arctan2(*(self.end - self.start)[::-1]))
         return placement(float(self.start[0]), float(self.start[1]), 0.0, yaw)
 
+    def to_world(self, points: Array) -> Array:
+        """(..., 2) points of the floor in the wall's frame to the world's."""
+        return np.asarray(points @ self.world_T_wall[:2, :2].T + self.start)
 
-@dataclass(frozen=True)
+    def to_wall(self, points: Array) -> Array:
+        """(..., 2) points of the floor in the world to the wall's frame."""
+        return np.asarray((points - self.start) @ self.world_T_wall[:2, :2])
+
+
+@dataclass(frozen=True, eq=False)
 class Plan:
-    """A floor plan.
+    """A floor plan of one room.
 
     Attributes:
         outline: (n, 2) corners, counter-clockwise, metres.
         parts: (k, 4, 2) convex quadrilaterals that tile it.
-        height: of the ceiling.
+        ceilings: planes (m, 3) above each part; see `fewview.synthetic.ceilings`.
         walls: one per side of the outline.
+        neighbours: rooms that a passage of this one leads to.
     """
 
     outline: Array
     parts: Array
-    height: float
+    ceilings: tuple[Array, ...]
     walls: tuple[Wall, ...]
+    neighbours: tuple[Plan, ...] = ()
+
+    @property
+    def rooms(self) -> tuple[Plan, ...]:
+        """This room and those next door."""
+        return (self, *self.neighbours)
+
+    @cached_property
+    def height(self) -> float:
+        """Of the highest point of the ceiling."""
+        return max(
+            float(ceilings.heights(planes, part).max())
+            for planes, part in zip(self.ceilings, self.parts, strict=True)
+        )
 
     def contains(self, points: Array) -> BoolArray:
         """Which of (n, 2) points lie inside the outline (even-odd rule)."""
@@ -84,168 +117,125 @@ class Plan:
         left = x < a[:, 0] + (y - a[:, 1]) * (b[:, 0] - a[:, 0]) / rise
         return np.asarray((crosses & left).sum(axis=1) % 2 == 1)
 
+    def part_at(self, points: Array) -> IntArray:
+        """The part in or nearest to which each of (n, 2) points lies."""
+        edge = np.roll(self.parts, -1, axis=1) - self.parts
+        edge /= np.linalg.norm(edge, axis=-1, keepdims=True)
+        way = points[:, None, None] - self.parts
+        inward = edge[..., 0] * way[..., 1] - edge[..., 1] * way[..., 0]
+        return np.asarray(inward.min(axis=-1).argmax(axis=-1), np.int64)
+
+    def height_at(self, points: Array) -> Array:
+        """(n,) heights of the ceiling over (n, 2) points."""
+        over = np.stack([ceilings.heights(planes, points) for planes in self.ceilings], axis=-1)
+        return np.asarray(np.take_along_axis(over, self.part_at(points)[:, None], axis=1)[:, 0])
+
 
 def make_plan(rng: Rng) -> Plan:
-    """A box or an L, turned by any angle, often with one wall that is slanted."""
-    w, d = rng.uniform(3.6, 6.2), rng.uniform(3.2, 5.2)
-    if rng.uniform() < 0.4:
-        x, y = w * rng.uniform(0.45, 0.65), d * rng.uniform(0.45, 0.65)
-        w, d = w + 0.8, d + 0.8
-        outline = np.array([[0, 0], [w, 0], [w, y], [x, y], [x, d], [0, d]])
-        parts = [[0, 1, 2, 3], [0, 3, 4, 5]]
-    else:
-        outline = np.array([[0, 0], [w, 0], [w, d], [0, d]])
-        parts = [[0, 1, 2, 3]]
-    outline = outline + rng.normal(0, 0.01, outline.shape)
-    if rng.uniform() < 0.5:
-        outline[1, 0] -= rng.uniform(0.1, 0.7)
-    yaw = placement(0, 0, 0, rng.uniform(-np.pi, np.pi))[:2, :2]
-    outline = (outline - outline.mean(axis=0)) @ yaw.T
-    height = rng.uniform(2.3, 3.0)
-    ends = np.roll(outline, -1, axis=0)
-    lengths = np.linalg.norm(ends - outline, axis=1)
-    kinds = _opening_kinds(rng, lengths)
-    walls = tuple(
-        Wall(a, b, _openings(rng, float(n), k))
-        for a, b, n, k in zip(outline, ends, lengths, kinds, strict=True)
-    )
-    return Plan(outline, outline[parts], height, walls)
+    """A room with doors and windows, half of the time with a room or a corridor next door."""
+    shape = make_shape(rng)
+    above = ceilings.make_ceilings(rng, shape)
+    bare = _walled(shape, above)
+    kinds = _opening_kinds(rng, _clear_heights(bare))
+    plan = _opened(rng, bare, kinds)
+    return _adjoined(rng, plan) if rng.uniform() < 0.5 else plan
 
 
-def _opening_kinds(rng: Rng, lengths: Array) -> list[list[OpeningKind]]:
-    kinds: list[list[OpeningKind]] = [[] for _ in lengths]
-    order = rng.permutation(np.flatnonzero(lengths > 1.8))
+def _walled(shape: Shape, above: tuple[Array, ...]) -> Plan:
+    ends = np.roll(shape.outline, -1, axis=0)
+    walls = tuple(Wall(a, b, ()) for a, b in zip(shape.outline, ends, strict=True))
+    return Plan(shape.outline, shape.parts, above, walls)
+
+
+def _clear_heights(plan: Plan) -> list[tuple[float, float]]:
+    """(length, lowest height) of each wall."""
+    out = []
+    for wall in plan.walls:
+        x = np.linspace(0, wall.length, 9)
+        inside = wall.to_world(np.stack([x, np.full(9, 0.01)], axis=-1))
+        out.append((wall.length, float(plan.height_at(inside).min())))
+    return out
+
+
+def _opening_kinds(rng: Rng, walls: list[tuple[float, float]]) -> list[list[OpeningKind]]:
+    """Doors and windows, only in walls that are long and high enough."""
+    kinds: list[list[OpeningKind]] = [[] for _ in walls]
+    usable = [i for i, (length, height) in enumerate(walls) if length > 1.4 and height > 2.2]
+    order = rng.permutation(usable)
     kinds[order[0]].append(OpeningKind.DOOR)
-    for wall in order[1 : 1 + rng.integers(1, 3)]:
-        kinds[wall] += [OpeningKind.WINDOW] * int(
-            rng.integers(1, 1 + max(1, int(lengths[wall] / 2.2)))
-        )
+    for number in order[1 : 1 + rng.integers(0, 3)]:
+        most = 1 + max(1, int(walls[number][0] / 2.2))
+        kinds[number] += [OpeningKind.WINDOW] * int(rng.integers(1, most))
     if rng.uniform() < 0.3:
         kinds[order[-1]].append(OpeningKind.DOOR)
     return kinds
 
 
+def _opened(rng: Rng, plan: Plan, kinds: list[list[OpeningKind]]) -> Plan:
+    walls = tuple(
+        Wall(w.start, w.end, _openings(rng, w.length, k))
+        for w, k in zip(plan.walls, kinds, strict=True)
+    )
+    return replace(plan, walls=walls)
+
+
 def _openings(rng: Rng, length: float, kinds: list[OpeningKind]) -> tuple[Opening, ...]:
     out = []
     slot = length / max(1, len(kinds))
+    full_length = rng.uniform() < 0.15
     for i, kind in enumerate(kinds):
-        door = kind is OpeningKind.DOOR
-        width = 0.9 if door else min(rng.uniform(0.9, 1.8), slot - 0.6)
-        left = slot * i + rng.uniform(0.25, max(0.26, slot - width - 0.25))
-        sill, top = (0.0, 2.02) if door else (rng.uniform(0.8, 1.0), rng.uniform(1.95, 2.15))
-        out.append(Opening(kind, left, left + width, sill, top))
+        window = kind is OpeningKind.WINDOW
+        width = rng.uniform(0.9, 2.2) if window else rng.uniform(0.8, 0.95)
+        width = min(width, slot - 0.5)
+        left = slot * i + rng.uniform(0.2, max(0.21, slot - width - 0.2))
+        sill = 0.0 if not window else 0.06 if full_length else rng.uniform(0.7, 1.05)
+        top, deep = rng.uniform(1.98, 2.1), rng.uniform(0.06, 0.2) if window else 0.04
+        out.append(Opening(kind, left, left + width, sill, top, deep))
     return tuple(out)
 
 
-def shell(plan: Plan, rng: Rng) -> Patches:
-    """All surfaces of floor, ceiling, walls, doors, windows and skirting."""
-    tone = np.full(3, rng.uniform(175, 240)) * rng.uniform(0.9, 1.0, 3)
-    accent = int(rng.integers(len(plan.walls))) if rng.uniform() < 0.6 else -1
-    skirting = plain(rng, np.full(3, rng.uniform(120, 235)) if rng.uniform() < 0.7 else brown(rng))
-    out = [
-        *labelled([_level(plan, 0.0, _floor(rng, plan))], Surface.FLOOR),
-        *labelled([_level(plan, plan.height, _ceiling(rng, plan))], Surface.CEILING),
-    ]
+def _adjoined(rng: Rng, plan: Plan) -> Plan:
+    """The plan with doors made passages into new rooms, where there is space for them."""
+    walls = list(plan.walls)
+    neighbours: list[Plan] = []
     for number, wall in enumerate(plan.walls):
-        size = (wall.length, plan.height)
-        texture = _accent(rng, size) if number == accent else textures.paint(rng, size, tone)
-        parts = [_wall_face(wall, plan.height, texture)]
-        for opening in wall.openings:
-            parts += _inset(opening, rng)
-        parts += _skirting(wall, skirting, rng)
-        out += labelled(moved(parts, wall.world_T_wall), Surface.WALL)
-    return tuple(out)
+        for door in wall.openings:
+            if door.kind is OpeningKind.DOOR and rng.uniform() < 0.8:
+                passage = replace(door, kind=OpeningKind.PASSAGE, deep=rng.uniform(0.09, 0.15))
+                behind = _neighbour(rng, wall, passage)
+                taken = [*plan.parts, *(n.outline for n in neighbours)]
+                if not any(overlaps(part, behind.outline) for part in taken):
+                    openings = tuple(passage if o is door else o for o in wall.openings)
+                    walls[number] = Wall(wall.start, wall.end, openings)
+                    neighbours.append(behind)
+    return replace(plan, walls=tuple(walls), neighbours=tuple(neighbours))
 
 
-def _extent(plan: Plan) -> tuple[float, float]:
-    size = np.ptp(plan.outline, axis=0)
-    return float(size[0]), float(size[1])
+def _neighbour(rng: Rng, wall: Wall, passage: Opening) -> Plan:
+    """A rectangular room or corridor behind a wall."""
+    corridor = rng.uniform() < 0.4
+    deep = rng.uniform(1.0, 1.7) if corridor else rng.uniform(2.2, 4.5)
+    x0 = passage.left - rng.uniform(0.25, 2.5)
+    x1 = passage.right + rng.uniform(0.25, 2.5)
+    corners = wall.to_world(np.array(rectangle(x0, -passage.deep - deep, x1, -passage.deep)))
+    ceiling = np.array([[0.0, 0.0, rng.uniform(2.25, 2.9)]])
+    bare = _walled(Shape(corners, corners[None]), (ceiling,))
+    kinds: list[list[OpeningKind]] = [[], [], [], []]
+    for side in (0, 1, 3):
+        if bare.walls[side].length > 1.5 and rng.uniform() < 0.45:
+            kinds[side].append(OpeningKind.DOOR if rng.uniform() < 0.4 else OpeningKind.WINDOW)
+    plan = _opened(rng, bare, kinds)
+    back = replace(passage, left=x1 - passage.right, right=x1 - passage.left)
+    facing = Wall(plan.walls[2].start, plan.walls[2].end, (back,))
+    return replace(plan, walls=(*plan.walls[:2], facing, plan.walls[3]))
 
 
-def _floor(rng: Rng, plan: Plan) -> Texture:
-    makers = (textures.parquet, textures.carpet, textures.carpet, textures.tiles)
-    make = makers[rng.integers(len(makers))]
-    base = brown(rng) if make is textures.parquet else muted(rng)
-    return make(rng, _extent(plan), base)
-
-
-def _ceiling(rng: Rng, plan: Plan) -> Texture:
-    base = np.full(3, rng.uniform(215, 240))
-    make = textures.paint if rng.uniform() < 0.75 else textures.tiles
-    return make(rng, _extent(plan), base, 0.01)
-
-
-def _accent(rng: Rng, size: tuple[float, float]) -> Texture:
-    kind = rng.integers(4)
-    if kind == 0:
-        return textures.brick(rng, size, np.array([160.0, 85, 65]) * rng.uniform(0.7, 1.3))
-    if kind == 1:
-        return textures.wood(rng, size, brown(rng), 0.006)
-    if kind == 2:
-        return textures.paint(rng, size, muted(rng))
-    return textures.wallpaper(rng, size, muted(rng) * 0.4 + 130)
-
-
-def _level(plan: Plan, z: float, texture: Texture) -> Patch:
-    order = [0, 1, 2, 3] if z == 0.0 else [0, 3, 2, 1]
-    corners = np.concatenate([plan.parts, np.full((*plan.parts.shape[:2], 1), z)], axis=-1)[
-        :, order
-    ]
-    uv = (corners[..., :2] - plan.outline.min(axis=0)) / texture.texel_m
-    return Patch(corners, uv, texture)
-
-
-def _wall_face(wall: Wall, height: float, texture: Texture) -> Patch:
-    cuts = [0.0, *(x for o in wall.openings for x in (o.left, o.right)), wall.length]
-    holes: list[Opening | None] = [None]
-    for opening in wall.openings:
-        holes += [opening, None]
-    rectangles = []
-    for left, right, hole in zip(cuts[:-1], cuts[1:], holes, strict=True):
-        spans = [(0.0, height)] if hole is None else [(0.0, hole.sill), (hole.top, height)]
-        rectangles += [(left, right, low, high) for low, high in spans if high > low]
-    corners = np.array(
-        [[[x1, 0, z0], [x0, 0, z0], [x0, 0, z1], [x1, 0, z1]] for x0, x1, z0, z1 in rectangles],
-        dtype=np.float64,
-    )
-    return Patch(
-        corners, (np.array([wall.length, height]) - corners[..., [0, 2]]) / texture.texel_m, texture
-    )
-
-
-def _inset(opening: Opening, rng: Rng) -> Patches:
-    """A door leaf or window pane some way into the wall, its reveals and its frame."""
-    door = opening.kind is OpeningKind.DOOR
-    width, height = opening.right - opening.left, opening.top - opening.sill
-    deep = 0.04 if door else 0.12
-    middle = 0.5 * (opening.left + opening.right)
-    tone = brown(rng) if rng.uniform() < 0.4 else np.full(3, rng.uniform(150, 235))
-    size = (width, height)
-    picture = prints.front(rng, size, tone, 1, 1) if door else prints.outside(rng, size)
-    hollow = box_corners((width, deep, height), (middle, -0.5 * deep, opening.sill))
-    trim, edge = plain(rng, tone), 0.07
-    bars = [
-        ((edge, 0.02, height), (opening.left - 0.5 * edge, 0.01, opening.sill)),
-        ((edge, 0.02, height), (opening.right + 0.5 * edge, 0.01, opening.sill)),
-        ((width + 2 * edge, 0.02, edge), (middle, 0.01, opening.top)),
-    ]
-    if not door:
-        bars.append(((width + 2 * edge, 0.1, 0.03), (middle, 0.05, opening.sill - 0.03)))
-    pane = hollow[0][[1, 0, 3, 2]]
-    parts = (
-        printed(pane, picture),
-        covered(hollow[[1, 3, 4, 5]][:, ::-1], trim, rng),
-        *(box(bar_size, at, trim, rng) for bar_size, at in bars),
-    )
-    return labelled(parts, Surface.DOOR if door else Surface.WINDOW)
-
-
-def _skirting(wall: Wall, texture: Texture, rng: Rng) -> Patches:
-    doors = [o for o in wall.openings if o.kind is OpeningKind.DOOR]
-    cuts = [0.0, *(x for o in doors for x in (o.left - 0.07, o.right + 0.07)), wall.length]
-    pairs = zip(cuts[::2], cuts[1::2], strict=True)
-    return tuple(
-        box((right - left, 0.015, 0.08), (0.5 * (left + right), 0.0075, 0), texture, rng)
-        for left, right in pairs
-        if right > left
-    )
+def overlaps(a: Array, b: Array) -> bool:
+    """Whether two convex polygons (n, 2) overlap (separating axes)."""
+    for polygon in (a, b):
+        edges = np.roll(polygon, -1, axis=0) - polygon
+        for normal in edges[:, ::-1] * [1, -1]:
+            low, high = a @ normal, b @ normal
+            if low.max() <= high.min() or high.max() <= low.min():
+                return False
+    return True

@@ -56,3 +56,23 @@ def seen_by(
     ahead = local[..., 2]
     inside = (ahead > 0) & (np.abs(local[..., :2]) < limit * ahead[..., None]).all(axis=-1)
     return inside, ahead
+
+
+def sight(depth: FloatArray, points: Array) -> Array:
+    """How far one sees, over or past everything, towards points.
+
+    Args:
+        depth: (S, 4 S) of a ring.
+        points: (n, 2 or 3) in the level frame.
+
+    Returns:
+        (n,) horizontal distances, metres.
+    """
+    size = depth.shape[0]
+    reach = depth.max(axis=0) * np.hypot(*rays(size)[0, :, :2].T)
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    turned = 0.75 * np.pi - azimuth
+    face = np.floor(turned / (0.5 * np.pi)).astype(int) % 4
+    inner = np.tan(np.mod(turned, 0.5 * np.pi) - 0.25 * np.pi)
+    column = np.rint(0.5 * size * inner + 0.5 * (size - 1)).astype(int).clip(0, size - 1)
+    return np.asarray(reach[face * size + column], np.float64)

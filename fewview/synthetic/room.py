@@ -9,12 +9,13 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from fewview.synthetic import furnish, plan
+from fewview.synthetic import furnish
 from fewview.synthetic.atlas import Atlas, pack
 from fewview.synthetic.classes import Surface
 from fewview.synthetic.furnish import Standing
 from fewview.synthetic.items import Patches
-from fewview.synthetic.plan import Plan
+from fewview.synthetic.plan import Plan, make_plan
+from fewview.synthetic.shell import Structure, shell
 from fewview.synthetic.surfaces import labelled, lathed
 from fewview.synthetic.textures import Image, Rng, Texture, plain
 from fewview.types import Array, ColouredMesh, FloatArray, IntArray
@@ -36,6 +37,8 @@ class Room:
         texture: (n,) index of each quadrilateral's texture.
         texel_m: (n,) float32 metres a texture pixel covers on the quadrilateral.
         surface: (n,) uint8 `Surface` of each quadrilateral.
+        plane: (n,) number of the structural plane that each is part of, or -1.
+        structure: these planes.
         textures: what is printed on them.
     """
 
@@ -47,6 +50,8 @@ class Room:
     texture: IntArray
     texel_m: FloatArray
     surface: NDArray[np.uint8]
+    plane: IntArray
+    structure: Structure
     textures: tuple[Texture, ...]
 
     @cached_property
@@ -105,24 +110,35 @@ def _grid(rows: int, columns: int) -> tuple[Array, IntArray]:
 def make_room(seed: int) -> Room:
     """The room of a seed: another plan, furniture and decoration for each."""
     rng = np.random.default_rng(seed)
-    outline = plan.make_plan(rng)
-    shell = plan.shell(outline, rng)
+    outline, structure = make_plan(rng), Structure()
+    walls = shell(outline, rng, structure)
     standing, things = furnish.furnish(outline, rng)
     lamps, fixtures = _lights(outline, rng)
-    return _assembled(outline, standing, lamps, (*shell, *things, *fixtures))
+    return _assembled(outline, structure, standing, lamps, (*walls, *things, *fixtures))
 
 
 def _lights(outline: Plan, rng: Rng) -> tuple[Array, Patches]:
-    spots = outline.parts.mean(axis=1) + rng.normal(0, 0.2, (len(outline.parts), 2))
-    glass = plain(rng, np.full(3, 250.0))
-    radius, high = rng.uniform(0.15, 0.3), outline.height
-    fixtures = tuple(lathed([(radius, -0.09), (radius, 0)], (*s, high), glass) for s in spots)
-    return np.column_stack([spots, np.full(len(spots), high - 0.25)]), labelled(
-        fixtures, Surface.OTHER
-    )
+    """A lamp under the ceiling of each larger part of each room."""
+    glass, radius = plain(rng, np.full(3, 250.0)), rng.uniform(0.15, 0.3)
+    lamps, fixtures = [], []
+    for room in outline.rooms:
+        for part in room.parts:
+            if np.linalg.norm(part[2] - part[0]) < 2.2 and part is not room.parts[0]:
+                continue
+            spot = part.mean(axis=0) + rng.normal(0, 0.2, 2)
+            high = float(room.height_at(spot[None])[0])
+            fixtures.append(lathed([(radius, -0.09), (radius, 0)], (*spot, high), glass))
+            lamps.append([*spot, high - 0.25])
+    return np.array(lamps), labelled(fixtures, Surface.OTHER)
 
 
-def _assembled(outline: Plan, standing: tuple[Standing, ...], lamps: Array, all_: Patches) -> Room:
+def _assembled(
+    outline: Plan,
+    structure: Structure,
+    standing: tuple[Standing, ...],
+    lamps: Array,
+    all_: Patches,
+) -> Room:
     textures = list({id(p.texture): p.texture for p in all_}.values())
     number = {id(t): i for i, t in enumerate(textures)}
     counts = [len(p.corners) for p in all_]
@@ -137,6 +153,8 @@ def _assembled(outline: Plan, standing: tuple[Standing, ...], lamps: Array, all_
         texture=np.repeat([number[id(p.texture)] for p in all_], counts),
         texel_m=_texel(corners, uv),
         surface=np.repeat(np.array([p.surface for p in all_], np.uint8), counts),
+        plane=np.repeat([p.plane for p in all_], counts),
+        structure=structure,
         textures=tuple(textures),
     )
 

@@ -11,19 +11,21 @@ from numpy.typing import NDArray
 
 from fewview.geometry import se3
 from fewview.synthetic import handheld, ring
-from fewview.synthetic.floor_map import FloorMap, floor_map, outline_planes
+from fewview.synthetic.classes import Ground
+from fewview.synthetic.floor_map import FloorMap, floor_map
 from fewview.synthetic.handheld import Camera
 from fewview.synthetic.plan import Plan
 from fewview.synthetic.render import Hits, hits_of, lit
 from fewview.synthetic.room import Room, make_room
 from fewview.synthetic.sensor import measure_ring
 from fewview.synthetic.textures import Rng
-from fewview.types import Array, BoolArray, FloatArray
+from fewview.types import Array, BoolArray, FloatArray, IntArray
 
 GRID = 64
 """Cells along each side of a layout."""
 GRID_CELL_M = 0.125
 MOST_PLANES = 24
+_SEEN_SHARE = 0.01
 
 Bytes = NDArray[np.uint8]
 
@@ -75,29 +77,37 @@ def room_sample(seed: int, views: int = 4, size: int = 64) -> RoomSample:
     room = make_room(seed)
     rng = np.random.default_rng([seed, 1])
     above = floor_map(room)
-    cameras = handheld.cameras(room, above, views, rng)
+    cameras = handheld.cameras(room.plan, above, views, rng)
     shape = (views, size, 4 * size)
     level_T_world = np.stack([camera.level_T_world for camera in cameras])
+    own = _rooms(room.plan, level_T_world)
     hits = _rings(room, level_T_world, size)
+    quads = hits.quad.reshape(shape)
     depth = np.where(np.isfinite(hits.depth), hits.depth, 0).astype(np.float32).reshape(shape)
     normal = hits.normals.reshape(views, -1, 3) @ level_T_world[:, :3, :3].swapaxes(1, 2)
     known = (depth > 0)[..., None]
     observed, measured = _measured(cameras, depth, hits.cosine.reshape(shape), rng)
     colour = lit(room, hits, 0.5 * size).reshape(*shape, 3)
-    planes, kinds = _planes(room.plan, level_T_world)
+    planes, kinds = _planes(room, level_T_world, own, quads)
     return RoomSample(
         level_T_world=level_T_world,
         scan_R_level=np.stack([camera.scan_R_level for camera in cameras]),
         colour=_photographs(colour, rng),
         depth=depth,
         normal=np.where(known, normal.reshape(*shape, 3), 0).astype(np.float32),
-        semantics=np.where(depth > 0, room.surface[hits.quad].reshape(shape), np.uint8(0)),
+        semantics=np.where(depth > 0, room.surface[quads], np.uint8(0)),
         observed=observed,
         measured=measured,
-        layout=np.stack([_layout(above, pose) for pose in level_T_world]),
+        layout=np.stack([_layout(above, *v) for v in zip(level_T_world, own, depth, strict=True)]),
         planes=planes,
         plane_kind=kinds,
     )
+
+
+def _rooms(plan: Plan, level_T_world: Array) -> IntArray:
+    """(V,) the room in which each camera is."""
+    places = se3.inverse(level_T_world)[:, :2, 3]
+    return np.asarray(np.argmax([room.contains(places) for room in plan.rooms], axis=0), np.int64)
 
 
 def _rings(room: Room, level_T_world: Array, size: int) -> Hits:
@@ -131,20 +141,32 @@ def _photographs(colour: FloatArray, rng: Rng) -> Bytes:
     return np.clip(noisy, 0, 255).astype(np.uint8)
 
 
-def _layout(above: FloorMap, level_T_world: Array) -> Bytes:
+def _layout(above: FloorMap, level_T_world: Array, own: int, depth: FloatArray) -> Bytes:
+    """The map around a camera: all of its own room, and of others what is in sight."""
     offset = GRID_CELL_M * (0.5 * (GRID - 1) - np.arange(GRID))
     x, y = np.meshgrid(offset, offset, indexing="ij")
     level = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3)
     world = se3.transform(se3.inverse(level_T_world), level)[:, :2]
-    return above.at(world).reshape(GRID, GRID)
+    cells, rooms = above.at(world)
+    shown = (rooms >> own & 1 > 0) | (np.hypot(*level[:, :2].T) < ring.sight(depth, level) + 0.1)
+    return np.where(shown, cells, np.uint8(Ground.UNKNOWN)).reshape(GRID, GRID)
 
 
-def _planes(plan: Plan, level_T_world: Array) -> tuple[FloatArray, Bytes]:
-    world, kinds = outline_planes(plan)
-    normals = world[:, :3] @ level_T_world[:, :3, :3].swapaxes(1, 2)
-    offsets = world[:, 3] + np.einsum("vpi,vi->vp", normals, level_T_world[:, :3, 3])
-    out = np.zeros((len(level_T_world), MOST_PLANES, 4), np.float32)
-    out[:, : len(world)] = np.concatenate([normals, offsets[..., None]], axis=-1)
+def _planes(
+    room: Room, level_T_world: Array, own: IntArray, quads: IntArray
+) -> tuple[FloatArray, Bytes]:
+    """Each camera's own room's planes, then those of others that it sees much of."""
+    structure = room.structure
+    world = np.array(structure.planes)
+    out = np.zeros((len(own), MOST_PLANES, 4), np.float32)
     kind = np.zeros(out.shape[:2], np.uint8)
-    kind[:, : len(world)] = kinds
+    for view, pose in enumerate(level_T_world):
+        seen = np.bincount(room.plane[quads[view]].ravel() + 1, minlength=len(world) + 1)[1:]
+        others = set(np.flatnonzero(seen > _SEEN_SHARE * quads[view].size).tolist())
+        mine = structure.of_room[own[view]]
+        numbers = [*sorted(mine), *sorted(others - mine)][:MOST_PLANES]
+        normals = world[numbers, :3] @ pose[:3, :3].T
+        offsets = world[numbers, 3] + normals @ pose[:3, 3]
+        out[view, : len(numbers)] = np.column_stack([normals, offsets])
+        kind[view, : len(numbers)] = [structure.kinds[n] for n in numbers]
     return out, kind

@@ -35,12 +35,14 @@ class Patch:
             mirrored.
         texture: what is printed on them.
         surface: what they are; UNKNOWN until somebody names them, see `labelled`.
+        plane: number of the structural plane that they are part of, or -1.
     """
 
     corners: Array
     uv: Array
     texture: Texture
     surface: Surface = Surface.UNKNOWN
+    plane: int = -1
 
 
 def labelled(patches: Iterable[Patch], surface: Surface) -> tuple[Patch, ...]:
