@@ -47,6 +47,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_demo(commands)
     _add_evaluate(commands)
     _add_view(commands)
+    _add_train(commands)
     return parser
 
 
@@ -108,6 +109,17 @@ def _add_view(commands: _Commands) -> None:  # type: ignore[type-arg]
     command = commands.add_parser("view", help="open a recording in the Rerun viewer")
     command.add_argument("file", type=Path, metavar="FILE.rrd")
     command.set_defaults(run=_view)
+
+
+def _add_train(commands: _Commands) -> None:  # type: ignore[type-arg]
+    command = commands.add_parser("train", help="train a completion network on generated rooms")
+    command.add_argument("config", type=Path, metavar="CONFIG", help="configs/train_NAME.yaml")
+    command.add_argument("--out", type=Path, metavar="DIR", help="default results/CONFIG")
+    command.add_argument("--resume", action="store_true", help="go on from the checkpoint in DIR")
+    command.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+    command.add_argument("--jobs", type=_natural, metavar="N", help="processes that make rooms")
+    command.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
+    command.set_defaults(run=_train)
 
 
 def _add_settings(command: argparse.ArgumentParser) -> None:
@@ -268,6 +280,26 @@ def _view(options: argparse.Namespace) -> int:
     from fewview.recording import view
 
     view(options.file)
+    return ALL_PLACED
+
+
+def _train(options: argparse.Namespace) -> int:
+    import os
+
+    from fewview.training import loop, settings
+
+    config = settings.load(options.config, tuple(options.set))
+    out = options.out or Path("results") / options.config.stem
+    jobs = max(1, (os.cpu_count() or 1) - 1) if options.jobs is None else options.jobs
+    best = loop.train(
+        config,
+        out,
+        resume=options.resume,
+        device=options.device,
+        jobs=jobs,
+        report=lambda line: print(line, file=sys.stderr, flush=True),
+    )
+    print(f"weights: {best}")
     return ALL_PLACED
 
 

@@ -15,6 +15,10 @@ import yaml
 
 from fewview.errors import ConfigError
 
+TRAINING = "train_"
+"""Files that begin so are settings of `fewview train`, not presets."""
+Settings = typing.TypeVar("Settings")
+
 
 @dataclass(frozen=True)
 class FeatureConfig:
@@ -144,21 +148,33 @@ def load(
     Raises:
         ConfigError: unknown preset, unreadable file, unknown key or unusable value.
     """
-    path = presets_folder() / f"{preset}.yaml"
-    if not path.is_file():
-        known = sorted(p.stem for p in presets_folder().glob("*.yaml"))
-        raise ConfigError(f"unknown preset '{preset}'; choose one of {', '.join(known)}")
-    config = merge(Config(), _read(path), str(path))
+    known = {p.stem: p for p in presets_folder().glob("*.yaml") if not p.stem.startswith(TRAINING)}
+    if preset not in known:
+        raise ConfigError(f"unknown preset '{preset}'; choose one of {', '.join(sorted(known))}")
+    config = merge(Config(), read(known[preset]), str(known[preset]))
     if file is not None:
-        config = merge(config, _read(file), str(file))
+        config = merge(config, read(file), str(file))
+    return assign(config, assignments)
+
+
+def assign(config: Settings, assignments: tuple[str, ...]) -> Settings:
+    """A copy of ``config`` with ``section.key=value`` assignments put in.
+
+    Raises:
+        ConfigError: unknown key or unusable value.
+    """
     for text in assignments:
         config = merge(config, _parse_assignment(text), "--set")
     return config
 
 
-def merge(config: Config, values: dict[str, Any], where: str) -> Config:
-    """A copy of ``config`` with nested ``values`` put in; ``where`` names them in errors."""
-    return typing.cast(Config, _merged(config, values, where, ""))
+def merge(config: Settings, values: dict[str, Any], where: str) -> Settings:
+    """A copy of ``config`` with nested ``values`` put in; ``where`` names them in errors.
+
+    Raises:
+        ConfigError: unknown key or unusable value.
+    """
+    return typing.cast(Settings, _merged(config, values, where, ""))
 
 
 def _merged(section: Any, values: Any, where: str, prefix: str) -> Any:
@@ -194,7 +210,12 @@ def _checked(value: Any, hint: Any, name: str, where: str) -> Any:
     raise ConfigError(f"{where}: '{name}' cannot be {value!r}; expected {hint}")
 
 
-def _read(path: Path) -> dict[str, Any]:
+def read(path: Path) -> dict[str, Any]:
+    """The values of a YAML file.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
     try:
         values = yaml.safe_load(path.read_text())
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:

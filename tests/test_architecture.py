@@ -26,6 +26,8 @@ ALLOWED: Mapping[str, set[str]] = {
     "probability": GROUND | {"config", "errors"},
     "pairwise": GROUND | ALGORITHMS | {"config", "errors", "weights", "probability"},
     "fusion": GROUND | {"config", "errors"},
+    "weights": {"errors"},
+    "training": GROUND | {"completion", "synthetic", "evaluation", "config", "errors", "weights"},
     "ply": GROUND | {"errors"},
     "scans": GROUND | {"config", "errors"},
     "recording": GROUND | ALGORITHMS | {"config", "errors"},

@@ -1,0 +1,37 @@
+"""360-image completion: a scan's surroundings on a ring of four faces (Sec. 3.2)."""
+
+from fewview.completion.panorama.complete import CompletedPanorama, complete_ring, shipped_network
+from fewview.completion.panorama.network import (
+    CLASSES,
+    PanoramaNetwork,
+    PanoramaNetworkConfig,
+    RingPrediction,
+    network_input,
+)
+from fewview.completion.panorama.ring import (
+    RingScan,
+    heading_frame,
+    project_scan,
+    ring_normals,
+    ring_pixels,
+    ring_points,
+    ring_rays,
+)
+
+__all__ = [
+    "CLASSES",
+    "CompletedPanorama",
+    "PanoramaNetwork",
+    "PanoramaNetworkConfig",
+    "RingPrediction",
+    "RingScan",
+    "complete_ring",
+    "heading_frame",
+    "network_input",
+    "project_scan",
+    "ring_normals",
+    "ring_pixels",
+    "ring_points",
+    "ring_rays",
+    "shipped_network",
+]

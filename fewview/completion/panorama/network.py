@@ -1,0 +1,212 @@
+"""The 360-image completion network: an encoder-decoder with skips over the levelled ring.
+
+Four by four pixels become channels first, so that the costly layers work at a quarter of the
+resolution. Convolutions wrap around horizontally: turning the ring by a whole face turns the
+answer. Group normalisation keeps a scan's answer independent of the others in its batch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from fewview.completion.panorama.ring import ring_normals, unit
+from fewview.types import FloatArray
+
+CLASSES = (
+    "unknown",
+    "wall",
+    "floor",
+    "ceiling",
+    "door",
+    "window",
+    "table",
+    "chair",
+    "sofa",
+    "bed",
+    "cabinet",
+    "other",
+)
+INPUTS = 8
+STEM = 4
+COARSE = 2
+GEOMETRY = (1, 1, 3, 1)
+GROUPS = 8
+TYPICAL_LOG_DEPTH = 0.7
+LOG_SCALE_RANGE = (-5.0, 2.0)
+SNAP = 10.0
+
+
+@dataclass(frozen=True)
+class PanoramaNetworkConfig:
+    """Size of the network."""
+
+    width: int = 48
+    """Channels at the finest level, a multiple of 16; deeper ones have 1.5, 2, 3 and 4 times as
+    many."""
+    descriptor: int = 32
+    """Length of a pixel's descriptor."""
+
+
+class RingPrediction(NamedTuple):
+    """What the network says of every pixel of B rings.
+
+    Attributes:
+        log_depth: (B, S, 4 S), logarithm of the planar depth in metres.
+        log_scale: (B, S, 4 S), logarithm of the Laplace scale of `log_depth`.
+        normal: (B, 3, S, 4 S) unit, level frame.
+        semantics: (B, 12, S/2, 2 S) logits of `CLASSES`, one for two by two pixels.
+        descriptor: (B, D, S/2, 2 S), one for two by two pixels, of any length.
+    """
+
+    log_depth: Tensor
+    log_scale: Tensor
+    normal: Tensor
+    semantics: Tensor
+    descriptor: Tensor
+
+
+def network_input(colour: Tensor, depth: Tensor) -> Tensor:
+    """Rings as channels: colour 3, log depth 1, normal 3, mask 1; 0 where nothing was measured.
+
+    Args:
+        colour: (B, S, 4 S, 3) uint8.
+        depth: (B, S, 4 S) float32, 0 unknown.
+
+    Returns:
+        (B, 8, S, 4 S).
+    """
+    known = (depth > 0)[:, None].to(depth.dtype)
+    rgb = colour.permute(0, 3, 1, 2).to(depth.dtype) / 127.5 - 1.0
+    log_depth = torch.log(depth.clamp_min(0.05))[:, None] - TYPICAL_LOG_DEPTH
+    return torch.cat([rgb * known, log_depth * known, ring_normals(depth), known], dim=1)
+
+
+class PanoramaNetwork(nn.Module):
+    """Completes rings; see `RingPrediction` for the answer."""
+
+    def __init__(self, config: PanoramaNetworkConfig = PanoramaNetworkConfig()) -> None:
+        super().__init__()
+        widths = [int(config.width * factor) for factor in (1, 1.5, 2, 3, 4)]
+        self.config = config
+        self.stem = nn.Conv2d(INPUTS, widths[0], STEM, stride=STEM)
+        self.encoder = nn.ModuleList(ResidualBlock(width) for width in widths[:-1])
+        self.down = nn.ModuleList(
+            nn.Conv2d(fine, coarse, 2, stride=2)
+            for fine, coarse in zip(widths, widths[1:], strict=False)
+        )
+        self.bottom = nn.Sequential(ResidualBlock(widths[-1]), ResidualBlock(widths[-1]))
+        self.fuse = nn.ModuleList(
+            nn.Conv2d(fine + coarse, fine, 1)
+            for fine, coarse in zip(widths, widths[1:], strict=False)
+        )
+        self.decoder = nn.ModuleList(ResidualBlock(width) for width in widths[:-1])
+        self.geometry = nn.ConvTranspose2d(widths[0], sum(GEOMETRY), STEM, stride=STEM)
+        coarse = STEM // COARSE
+        self.meaning = nn.ConvTranspose2d(
+            widths[0], len(CLASSES) + config.descriptor, coarse, stride=coarse
+        )
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def forward(self, inputs: Tensor) -> RingPrediction:
+        """Complete (B, 8, S, 4 S) rings made by `network_input`; S is a multiple of 64."""
+        x = self.stem(inputs.contiguous(memory_format=torch.channels_last))
+        skips = []
+        for block, down in zip(self.encoder, self.down, strict=True):
+            x = block(x)
+            skips.append(x)
+            x = down(x)
+        x = self.bottom(x)
+        for block, fuse in zip(reversed(self.decoder), reversed(self.fuse), strict=True):
+            x = block(fuse(torch.cat([skips.pop(), _doubled(x)], dim=1)))
+        depth, scale, normal, gate = self.geometry(x).float().split(GEOMETRY, dim=1)
+        semantics, descriptor = self.meaning(x).float().tensor_split((len(CLASSES),), dim=1)
+        return RingPrediction(
+            depth[:, 0] + TYPICAL_LOG_DEPTH,
+            (scale[:, 0] - 1.0).clamp(*LOG_SCALE_RANGE),
+            _snapped(normal, gate, inputs[:, 4:7].float()),
+            semantics,
+            descriptor,
+        )
+
+
+class RingConv(nn.Module):
+    """A 3 x 3 convolution that wraps around horizontally."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(inputs, outputs, 3, padding=(1, 0))
+
+    def forward(self, x: Tensor) -> Tensor:
+        wrapped = torch.cat([x[..., -1:], x, x[..., :1]], dim=-1)
+        out: Tensor = self.conv(wrapped)
+        return out
+
+
+class ResidualBlock(nn.Module):
+    """Two normalised ring convolutions added to their input."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.GroupNorm(GROUPS, width),
+            nn.ReLU(),
+            RingConv(width, width),
+            nn.GroupNorm(GROUPS, width),
+            nn.ReLU(),
+            RingConv(width, width),
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        out: Tensor = x + self.layers(x)
+        return out
+
+
+def manhattan_axes(normals: Tensor) -> tuple[Tensor, Tensor]:
+    """The room's six directions as far as the visible walls tell them.
+
+    The circular mean of the wall normals' azimuths modulo 90 degrees, taken once over all and
+    once over those within 15 degrees of the first.
+
+    Args:
+        normals: (B, 3, S, 4 S) seen ones, 0 unknown.
+
+    Returns:
+        axes (B, 6, 3), and the share (B,) 0..1 of the walls seen that agree.
+    """
+    x, y, z = normals.flatten(2).unbind(dim=1)
+    walls = ((x * x + y * y > 0.5) & (z.abs() < 0.25)).to(x.dtype)
+    turns = torch.polar(walls, 4.0 * torch.atan2(y, x))
+    first = turns.sum(dim=1, keepdim=True)
+    near = (turns * first.conj()).real > 0.5 * first.abs()
+    second = (turns * near).sum(dim=1)
+    share = second.abs() / walls.sum(dim=1).clamp_min(30.0)
+    phase = (second.angle() / 4.0)[:, None] + torch.arange(4, device=x.device) * (np.pi / 2)
+    level = torch.stack([phase.cos(), phase.sin(), torch.zeros_like(phase)], dim=-1)
+    vertical = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], device=x.device, dtype=x.dtype)
+    return torch.cat([level, vertical.expand(len(x), 2, 3)], dim=1), share.clamp(0.0, 1.0)
+
+
+def ring_tensors(colour: NDArray[np.uint8], depth: FloatArray) -> Tensor:
+    """`network_input` of one ring given as arrays (S, 4 S, 3) and (S, 4 S)."""
+    return network_input(torch.from_numpy(colour)[None], torch.from_numpy(depth)[None])
+
+
+def _snapped(free: Tensor, gate: Tensor, seen: Tensor) -> Tensor:
+    """Unit normals between what the network drew freely and the nearest Manhattan direction."""
+    free = unit(free)
+    axes, share = manhattan_axes(seen)
+    weights = (SNAP * torch.einsum("bchw,bac->bahw", free, axes)).softmax(dim=1)
+    nearest = torch.einsum("bahw,bac->bchw", weights, axes)
+    blend = gate.sigmoid() * share[:, None, None, None]
+    return unit(free + blend * (nearest - free))
+
+
+def _doubled(x: Tensor) -> Tensor:
+    return F.interpolate(x, scale_factor=2.0, mode="nearest")

@@ -1,0 +1,62 @@
+"""Everything the pair stages need of one scan, by one file per kind of feature (Sec. 3.2)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fewview.completion.kinds import FeatureKind, ScanView
+from fewview.completion.levelling import level
+from fewview.completion.local_geometry import DepthView, thin_surface
+from fewview.completion.patches import find_patches
+from fewview.completion.planes import Planes
+from fewview.completion.sift import Sift
+from fewview.completion.xfeat import XFeatKeypoints
+from fewview.config import FeatureConfig
+from fewview.errors import ConfigError
+from fewview.types import CompletedScan, Frame
+
+KINDS: tuple[FeatureKind, ...] = (XFeatKeypoints(), Sift(), Planes())
+
+
+def chosen_kinds(config: FeatureConfig) -> tuple[FeatureKind, ...]:
+    """The kinds that the settings name.
+
+    Raises:
+        ConfigError: one of them does not exist.
+    """
+    known = {kind.name: kind for kind in KINDS}
+    if unknown := sorted(set(config.kinds) - known.keys()):
+        raise ConfigError(
+            f"features.kinds: unknown kind '{unknown[0]}'; there are {', '.join(known)}"
+        )
+    return tuple(kind for kind in KINDS if kind.name in config.kinds)
+
+
+def complete(
+    name: str, frame: Frame, quarter_turns: int, config: FeatureConfig, seed: int
+) -> CompletedScan:
+    """Everything the pair stages need to know of one scan.
+
+    Args:
+        name: the scan's name.
+        frame: its pixels.
+        quarter_turns: counter-clockwise turns that bring the image upright.
+        config: settings.
+        seed: seed of the plane search.
+    """
+    depth = DepthView.of(frame, config.max_depth_m)
+    surface = thin_surface(depth, frame.colour, config.surface_voxel_m)
+    surface, patches = find_patches(surface, config.max_patches, np.random.default_rng(seed))
+    levelling = level(surface, patches, quarter_turns)
+    view = ScanView(frame, quarter_turns, depth, surface, patches, levelling)
+    return CompletedScan(
+        name=name,
+        image_size=(frame.intrinsics.width, frame.intrinsics.height),
+        quarter_turns=quarter_turns,
+        intrinsics=depth.intrinsics,
+        depth=depth.depth,
+        surface=surface,
+        patches=patches,
+        levelling=levelling,
+        features={kind.name: kind.extract(view, config) for kind in chosen_kinds(config)},
+    )

@@ -1,0 +1,52 @@
+"""What weights say about themselves: data, seed, steps, hardware, hours, figures, settings."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import platform
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+
+from fewview.training.settings import TrainConfig
+
+
+def make_card(
+    config: TrainConfig,
+    step: int,
+    seconds: float,
+    validation: Mapping[str, float],
+    device: torch.device,
+    threads: int,
+) -> dict[str, Any]:
+    """The card of weights as they are after ``step`` steps and ``seconds`` of training.
+
+    Args:
+        validation: figures on the validation rooms; those that are no numbers are left out.
+        device: where they were trained.
+        threads: of PyTorch on the CPU.
+    """
+    return {
+        "name": config.settings.name,
+        "data": {
+            "source": "generated rooms (fewview.synthetic.samples), split train",
+            "rooms": min(step * config.rooms, config.pool or step * config.rooms),
+            "samples": step * config.rooms * config.views,
+            "validation_rooms": config.validation_rooms,
+        },
+        "seed": config.seed,
+        "steps": step,
+        "hardware": _hardware(device, threads),
+        "hours": round(seconds / 3600.0, 3),
+        "validation": {k: round(v, 5) for k, v in validation.items() if math.isfinite(v)},
+        "config": dataclasses.asdict(config),
+        "torch": torch.__version__,
+    }
+
+
+def _hardware(device: torch.device, threads: int) -> str:
+    if device.type == "cuda":
+        return str(torch.cuda.get_device_name(device))
+    return f"{platform.machine()} CPU, {threads} threads"

@@ -1,0 +1,137 @@
+"""The 360-image completion network as a training problem (Sec. 3.2 and 3.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from fewview.completion.panorama.network import (
+    CLASSES,
+    COARSE,
+    PanoramaNetwork,
+    PanoramaNetworkConfig,
+    RingPrediction,
+    network_input,
+)
+from fewview.completion.panorama.ring import unit
+from fewview.geometry import se3
+from fewview.training import contrastive, losses
+from fewview.training.problem import Batch
+
+if TYPE_CHECKING:
+    from fewview.synthetic.samples import RoomSample
+
+STACKED = ("colour", "depth", "normal", "semantics", "observed", "measured")
+
+
+@dataclass(frozen=True)
+class PanoramaProblem:
+    """Complete rings of furnished rooms from what one scan measures of them."""
+
+    size: PanoramaNetworkConfig = field(default_factory=PanoramaNetworkConfig)
+    """Of the network."""
+    depth_likelihood: float = 0.2
+    """Of the Laplace likelihood of the logarithm of the depth."""
+    depth_l1: float = 1.0
+    """Of the absolute error of the logarithm of the depth."""
+    normal: float = 1.0
+    """Of the normals' cosine and absolute error."""
+    semantics: float = 0.3
+    """Of the cross-entropy."""
+    descriptor: float = 0.2
+    """Of the contrastive loss."""
+    measured: float = 0.3
+    """What a measured pixel counts against one that has to be guessed."""
+    pairs: int = 192
+    """Places for the contrastive loss in each pair of views."""
+    class_weights: tuple[float, ...] = (0.0, 0.4, 0.8, 0.6, 1.0, 1.1, 2.0, 2.5, 2.0, 3.0, 1.0, 1.0)
+    """Of unknown, wall, floor, ceiling, door, window, table, chair, sofa, bed, cabinet, other."""
+    name: str = "panorama"
+    """Of the weights."""
+
+    def network(self) -> nn.Module:
+        return PanoramaNetwork(self.size)
+
+    def batch(self, rooms: Sequence[RoomSample], rng: np.random.Generator) -> Batch:
+        """Views of all rooms one after the other, see `RoomSample`, and places they share."""
+        rings = {name: np.concatenate([getattr(r, name) for r in rooms]) for name in STACKED}
+        poses = se3.inverse(np.concatenate([room.level_T_world for room in rooms]))
+        return {
+            **{name: torch.from_numpy(array) for name, array in rings.items()},
+            "world_T_level": torch.from_numpy(poses.astype(np.float32)),
+            **contrastive.sample_pairs(rooms, self.pairs, rng),
+        }
+
+    def losses(self, network: nn.Module, batch: Batch) -> dict[str, Tensor]:
+        answer: RingPrediction = network(network_input(batch["colour"], batch["measured"]))
+        known, seen = batch["depth"] > 0, batch["measured"] > 0
+        weight = known * torch.where(seen, self.measured, 1.0)
+        error = (answer.log_depth - _log(batch["depth"])).abs()
+        normal = losses.normal_error(answer.normal, batch["normal"].permute(0, 3, 1, 2))
+        classes = torch.tensor(self.class_weights, device=weight.device)
+        labels = batch["semantics"][:, ::COARSE, ::COARSE].long()
+        return {
+            "depth_likelihood": self.depth_likelihood
+            * losses.weighted_mean(losses.laplace(error, answer.log_scale), weight),
+            "depth_l1": self.depth_l1 * losses.weighted_mean(error, weight),
+            "normal": self.normal * losses.weighted_mean(normal, weight),
+            "semantics": self.semantics * losses.semantics(answer.semantics, labels, classes),
+            "descriptor": self.descriptor * _contrast(answer.descriptor, batch),
+        }
+
+    def metrics(self, network: nn.Module, batch: Batch) -> dict[str, float]:
+        """Errors inside and outside what the cameras saw, and recalls of the descriptors."""
+        answer: RingPrediction = network(network_input(batch["colour"], batch["measured"]))
+        known = batch["depth"] > 0
+        out: dict[str, float] = {}
+        parts = {"unobserved": ~batch["observed"] & known, "observed": batch["measured"] > 0}
+        for part, pixels in parts.items():
+            figures = _geometry_figures(answer, batch, pixels)
+            figures["semantics_iou"] = _mean_iou(answer.semantics, batch["semantics"], pixels)
+            out |= {f"{name}_{part}": value for name, value in figures.items()}
+        return out | contrastive.recall(unit(answer.descriptor), batch)
+
+
+def _contrast(descriptor: Tensor, batch: Batch) -> Tensor:
+    size = batch["depth"].shape[1]
+    first, second = batch["rings"].unbind(dim=1)
+    source = contrastive.picked(descriptor, first, batch["source"], size)
+    target = contrastive.picked(descriptor, second, batch["target"], size)
+    where = contrastive.places(batch, first, batch["source"])
+    return losses.info_nce(unit(source.mT).mT, unit(target.mT).mT, where, batch["valid"])
+
+
+def _geometry_figures(answer: RingPrediction, batch: Batch, pixels: Tensor) -> dict[str, float]:
+    truth = batch["depth"][pixels]
+    error = (answer.log_depth.exp()[pixels] - truth).abs()
+    log_error = (answer.log_depth[pixels] - _log(truth)).abs()
+    cosine = (answer.normal.permute(0, 2, 3, 1) * batch["normal"]).sum(dim=-1)[pixels]
+    angle = torch.rad2deg(torch.acos(cosine.clamp(-1.0, 1.0)))
+    return {
+        "depth_l1_m": float(error.mean()),
+        "depth_relative": float((error / truth).mean()),
+        "depth_log_scale": float(answer.log_scale[pixels].exp().mean() / log_error.mean()),
+        "normal_mean_deg": float(angle.mean()),
+        "normal_median_deg": float(angle.median()),
+        "normal_within_30": float((angle < 30.0).float().mean()),
+    }
+
+
+def _mean_iou(logits: Tensor, truth: Tensor, pixels: Tensor) -> float:
+    """Intersection over union, averaged over the classes that occur in the truth."""
+    guess = logits[:, 1:].argmax(dim=1) + 1
+    labels, where = truth[:, ::COARSE, ::COARSE].long(), pixels[:, ::COARSE, ::COARSE]
+    table = torch.bincount(len(CLASSES) * labels[where] + guess[where], minlength=len(CLASSES) ** 2)
+    counts = table.reshape(len(CLASSES), len(CLASSES)).double()[1:]
+    hit = counts[:, 1:].diagonal()
+    union = counts.sum(dim=1) + counts[:, 1:].sum(dim=0) - hit
+    return float((hit / union)[counts.sum(dim=1) > 0].mean())
+
+
+def _log(depth: Tensor) -> Tensor:
+    return depth.clamp_min(0.05).log()
