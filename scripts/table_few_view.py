@@ -26,7 +26,7 @@ from benchmark.scenes import rolled
 from benchmark.store import Store
 from benchmark.table import write
 
-QUICK_SCENES = 3
+QUICK_SCENES = 2
 
 
 def main() -> None:
