@@ -6,6 +6,7 @@ import hashlib
 import itertools
 import multiprocessing
 import os
+import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
@@ -202,11 +203,23 @@ def run(tasks: Iterable[Task], jobs: int, what: str) -> None:
     context = multiprocessing.get_context("spawn")
     with (
         _one_thread_each(),
-        ProcessPoolExecutor(jobs, mp_context=context) as pool,
+        ProcessPoolExecutor(jobs, mp_context=context, initializer=_end_with_parent) as pool,
         tqdm(total=len(missing), desc=what, smoothing=0.05) as bar,
     ):
         for future in as_completed([pool.submit(_work, chunk) for chunk in chunks]):
             bar.update(future.result())
+
+
+def _end_with_parent() -> None:
+    """Workers of a run that was killed stop at once and leave nothing half-written."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+
+        def watch() -> None:
+            parent.join()
+            os._exit(1)
+
+        threading.Thread(target=watch, daemon=True).start()
 
 
 def _groups(tasks: Iterable[Task]) -> list[list[Task]]:
