@@ -14,6 +14,8 @@ from fewview.synthetic.shapes import Shape, make_shape, rectangle
 from fewview.synthetic.textures import Rng
 from fewview.types import Array, BoolArray, IntArray
 
+_OPENING_M = 2.2
+
 
 class OpeningKind(StrEnum):
     """What is inset in a wall; a passage leads into the room next door."""
@@ -136,8 +138,8 @@ def make_plan(rng: Rng) -> Plan:
     shape = make_shape(rng)
     above = ceilings.make_ceilings(rng, shape)
     bare = _walled(shape, above)
-    kinds = _opening_kinds(rng, _clear_heights(bare))
-    plan = _opened(rng, bare, kinds)
+    high = _high_stretches(bare)
+    plan = _opened(rng, bare, high, _opening_kinds(rng, np.ptp(high, axis=1)))
     return _adjoined(rng, plan) if rng.uniform() < 0.5 else plan
 
 
@@ -147,47 +149,51 @@ def _walled(shape: Shape, above: tuple[Array, ...]) -> Plan:
     return Plan(shape.outline, shape.parts, above, walls)
 
 
-def _clear_heights(plan: Plan) -> list[tuple[float, float]]:
-    """(length, lowest height) of each wall."""
+def _high_stretches(plan: Plan) -> list[tuple[float, float]]:
+    """From where to where each wall is high enough for doors and windows; (0, 0) for nowhere."""
     out = []
     for wall in plan.walls:
-        x = np.linspace(0, wall.length, 9)
-        inside = wall.to_world(np.stack([x, np.full(9, 0.01)], axis=-1))
-        out.append((wall.length, float(plan.height_at(inside).min())))
+        x = np.linspace(0, wall.length, 33)
+        inside = wall.to_world(np.stack([x, np.full(33, 0.01)], axis=-1))
+        high = x[plan.height_at(inside) > _OPENING_M]
+        out.append((float(high[0]), float(high[-1])) if len(high) else (0.0, 0.0))
     return out
 
 
-def _opening_kinds(rng: Rng, walls: list[tuple[float, float]]) -> list[list[OpeningKind]]:
-    """Doors and windows, only in walls that are long and high enough."""
-    kinds: list[list[OpeningKind]] = [[] for _ in walls]
-    usable = [i for i, (length, height) in enumerate(walls) if length > 1.4 and height > 2.2]
-    order = rng.permutation(usable)
+def _opening_kinds(rng: Rng, lengths: Array) -> list[list[OpeningKind]]:
+    """Doors and windows of walls, given the length of each that may have some."""
+    kinds: list[list[OpeningKind]] = [[] for _ in lengths]
+    order = rng.permutation(np.flatnonzero(lengths > 1.4))
+    if len(order) == 0:
+        return kinds
     kinds[order[0]].append(OpeningKind.DOOR)
     for number in order[1 : 1 + rng.integers(0, 3)]:
-        most = 1 + max(1, int(walls[number][0] / 2.2))
+        most = 1 + max(1, int(lengths[number] / 2.2))
         kinds[number] += [OpeningKind.WINDOW] * int(rng.integers(1, most))
     if rng.uniform() < 0.3:
         kinds[order[-1]].append(OpeningKind.DOOR)
     return kinds
 
 
-def _opened(rng: Rng, plan: Plan, kinds: list[list[OpeningKind]]) -> Plan:
+def _opened(
+    rng: Rng, plan: Plan, high: list[tuple[float, float]], kinds: list[list[OpeningKind]]
+) -> Plan:
     walls = tuple(
-        Wall(w.start, w.end, _openings(rng, w.length, k))
-        for w, k in zip(plan.walls, kinds, strict=True)
+        Wall(w.start, w.end, _openings(rng, h, k))
+        for w, h, k in zip(plan.walls, high, kinds, strict=True)
     )
     return replace(plan, walls=walls)
 
 
-def _openings(rng: Rng, length: float, kinds: list[OpeningKind]) -> tuple[Opening, ...]:
+def _openings(rng: Rng, high: tuple[float, float], kinds: list[OpeningKind]) -> tuple[Opening, ...]:
     out = []
-    slot = length / max(1, len(kinds))
+    slot = (high[1] - high[0]) / max(1, len(kinds))
     full_length = rng.uniform() < 0.15
     for i, kind in enumerate(kinds):
         window = kind is OpeningKind.WINDOW
         width = rng.uniform(0.9, 2.2) if window else rng.uniform(0.8, 0.95)
         width = min(width, slot - 0.5)
-        left = slot * i + rng.uniform(0.2, max(0.21, slot - width - 0.2))
+        left = high[0] + slot * i + rng.uniform(0.2, max(0.21, slot - width - 0.2))
         sill = 0.0 if not window else 0.06 if full_length else rng.uniform(0.7, 1.05)
         top, deep = rng.uniform(1.98, 2.1), rng.uniform(0.06, 0.2) if window else 0.04
         out.append(Opening(kind, left, left + width, sill, top, deep))
@@ -224,7 +230,7 @@ def _neighbour(rng: Rng, wall: Wall, passage: Opening) -> Plan:
     for side in (0, 1, 3):
         if bare.walls[side].length > 1.5 and rng.uniform() < 0.45:
             kinds[side].append(OpeningKind.DOOR if rng.uniform() < 0.4 else OpeningKind.WINDOW)
-    plan = _opened(rng, bare, kinds)
+    plan = _opened(rng, bare, _high_stretches(bare), kinds)
     back = replace(passage, left=x1 - passage.right, right=x1 - passage.left)
     facing = Wall(plan.walls[2].start, plan.walls[2].end, (back,))
     return replace(plan, walls=(*plan.walls[:2], facing, plan.walls[3]))

@@ -9,10 +9,10 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from fewview.synthetic import furnish
 from fewview.synthetic.atlas import Atlas, pack
 from fewview.synthetic.classes import Surface
-from fewview.synthetic.furnish import Standing
+from fewview.synthetic.decoration import decorate
+from fewview.synthetic.furnish import Standing, furnish
 from fewview.synthetic.items import Patches
 from fewview.synthetic.plan import Plan, make_plan
 from fewview.synthetic.shell import Structure, shell
@@ -112,7 +112,9 @@ def make_room(seed: int) -> Room:
     rng = np.random.default_rng(seed)
     outline, structure = make_plan(rng), Structure()
     walls = shell(outline, rng, structure)
-    standing, things = furnish.furnish(outline, rng)
+    furnished = [furnish(part, rng) for part in outline.rooms]
+    things = [p for f in furnished for p in (*f.patches, *decorate(f))]
+    standing = tuple(piece for f in furnished for piece in f.standing)
     lamps, fixtures = _lights(outline, rng)
     return _assembled(outline, structure, standing, lamps, (*walls, *things, *fixtures))
 

@@ -99,6 +99,14 @@ def box(size: Sequence[float], bottom: Sequence[float], texture: Texture, rng: R
     return covered(box_corners(size, bottom), texture, rng)
 
 
+def boxes(
+    of: Sequence[tuple[Sequence[float], Sequence[float]]], texture: Texture, rng: Rng
+) -> Patch:
+    """Boxes of one material, each a (size, bottom); see `box_corners`."""
+    sizes, bottoms = np.array(of, np.float64).swapaxes(0, 1)
+    return covered(boxes_corners(sizes, bottoms).reshape(-1, 4, 3), texture, rng)
+
+
 def faced_box(
     size: Sequence[float], bottom: Sequence[float], texture: Texture, face: Texture, rng: Rng
 ) -> tuple[Patch, Patch]:
