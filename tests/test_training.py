@@ -19,13 +19,13 @@ from torch import Tensor
 
 from fewview import cli, config, weights
 from fewview.completion.panorama.network import PanoramaNetworkConfig
-from fewview.completion.panorama.ring import ring_points
+from fewview.completion.panorama.ring import ring_normals, ring_points
 from fewview.errors import ConfigError, FewviewError
 from fewview.geometry import se3
 from fewview.synthetic.samples import RoomSample
 from fewview.training import contrastive, loop, losses, settings
 from fewview.training.panorama import PanoramaProblem
-from fewview.training.rooms import RoomBatches, Stored, loader
+from fewview.training.rooms import RoomBatches, Stored, loader, mirrored
 from fewview.training.settings import TrainConfig
 
 ROOT = Path(__file__).parent.parent
@@ -148,9 +148,32 @@ def test_workers_make_the_same_batches_in_the_same_order() -> None:
 
 def test_a_pool_comes_round() -> None:
     batches = RoomBatches(dataclasses.replace(SHORT, pool=3), box_rooms)
-    assert torch.equal(batches[0]["depth"], batches[3]["depth"])
+    assert torch.equal(batches[0]["depth"], batches[6]["depth"])
     assert not torch.equal(batches[0]["depth"], batches[1]["depth"])
-    assert not torch.equal(batches[0]["source"], batches[3]["source"])
+    assert not torch.equal(batches[0]["depth"], batches[3]["depth"])
+    assert not torch.equal(batches[0]["source"], batches[6]["source"])
+
+
+def test_a_mirrored_room_is_a_room() -> None:
+    room = box_room(3, 3, 64)
+    other = mirrored(room)
+    again = mirrored(other)
+    for name, array in vars(room).items():
+        np.testing.assert_allclose(getattr(again, name), array, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.det(other.level_T_world), 1.0)
+    np.testing.assert_allclose(np.linalg.det(other.scan_R_level), 1.0)
+    own, flipped = (
+        se3.transform(se3.inverse(r.level_T_world), ring_points(r.depth).reshape(3, -1, 3))
+        for r in (room, other)
+    )
+    for a, b in zip(own, flipped, strict=True):
+        np.testing.assert_allclose(np.sort(a[:, 1]), np.sort(-b[:, 1]), atol=1e-5)
+    found = ring_normals(torch.from_numpy(other.depth)).permute(0, 2, 3, 1).numpy()
+    assert np.mean((found * other.normal).sum(axis=-1) > 0.99) > 0.95
+    ahead = other.planes[0, other.plane_kind[0] == 3]
+    points = ring_points(other.depth)[0].reshape(-1, 3)
+    behind = points @ ahead[:, :3].T - ahead[:, 3]
+    assert behind.min() > -1e-4
 
 
 def test_rooms_are_made_once_and_read_the_same(tmp_path: Path) -> None:

@@ -85,7 +85,10 @@ class PanoramaProblem:
         }
 
     def metrics(self, network: nn.Module, batch: Batch) -> dict[str, float]:
-        """Errors inside and outside what the cameras saw, and recalls of the descriptors."""
+        """Errors inside and outside what the cameras saw, and recalls of the descriptors.
+
+        Beside them the depth error of a baseline that knows no scan: the median of the batch.
+        """
         answer: RingPrediction = network(network_input(batch["colour"], batch["measured"]))
         known = batch["depth"] > 0
         out: dict[str, float] = {}
@@ -94,6 +97,9 @@ class PanoramaProblem:
             figures = _geometry_figures(answer, batch, pixels)
             figures["semantics_iou"] = _mean_iou(answer.semantics, batch["semantics"], pixels)
             out |= {f"{name}_{part}": value for name, value in figures.items()}
+        median = batch["depth"].median(dim=0).values.expand_as(batch["depth"])
+        error = (median - batch["depth"]).abs() / batch["depth"]
+        out["median_depth_relative_unobserved"] = float(error[parts["unobserved"]].mean())
         return out | contrastive.recall(unit(answer.descriptor), batch)
 
 

@@ -22,6 +22,11 @@ if TYPE_CHECKING:
 SPARE_ROOMS = 5
 SPARE_STRIDE = 10**8
 PREFETCH = 4
+RINGS = ("colour", "depth", "normal", "semantics", "observed", "measured")
+LEFT = np.array([1.0, -1.0, 1.0])
+"""Mirrors the level frame's left axis."""
+RIGHT = np.array([-1.0, 1.0, 1.0])
+"""Mirrors a camera's right axis."""
 
 
 class RoomSource(Protocol):
@@ -32,20 +37,22 @@ class RoomSource(Protocol):
 
 
 def generated(split: Split, index: int, views: int, size: int) -> RoomSample:
-    """Make a room; one without a place to stand is replaced by another.
+    """Make a room; one that cannot be made is replaced by another, so that no run ends of it.
 
     Raises:
-        FewviewError: none of the replacements is usable either.
+        FewviewError: none of the replacements can be made either.
     """
     from fewview.synthetic import split_seed
     from fewview.synthetic.samples import room_sample
 
-    for attempt in range(SPARE_ROOMS):
+    reasons: list[Exception] = []
+    while len(reasons) < SPARE_ROOMS:
+        seed = split_seed(split, index + len(reasons) * SPARE_STRIDE)
         try:
-            return room_sample(split_seed(split, index + attempt * SPARE_STRIDE), views, size)
-        except FewviewError as error:
-            reason = error
-    raise FewviewError(f"room {index} of {split}: {reason}")
+            return room_sample(seed, views, size)
+        except Exception as error:
+            reasons.append(error)
+    raise FewviewError(f"room {index} of {split} cannot be made: {reasons[0]!r}") from reasons[0]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,7 +82,7 @@ class Stored:
 
 
 class RoomBatches(Dataset[Batch]):
-    """Batch number k of a split."""
+    """Batch number k of a split; every other time that a room comes round it is mirrored."""
 
     def __init__(
         self,
@@ -89,11 +96,26 @@ class RoomBatches(Dataset[Batch]):
 
     def __getitem__(self, step: int) -> Batch:
         c, training = self.config, self.split == "train"
-        numbers = range(step * self.rooms, (step + 1) * self.rooms)
-        round_of = c.pool if training and c.pool else len(numbers) + numbers[0]
-        rooms = [self.source(self.split, i % round_of, c.views, c.size) for i in numbers]
+        rooms = []
+        for number in range(step * self.rooms, (step + 1) * self.rooms):
+            turn, index = divmod(number, c.pool) if training and c.pool else (0, number)
+            room = self.source(self.split, index, c.views, c.size)
+            rooms.append(mirrored(room) if turn % 2 else room)
         rng = np.random.default_rng([c.seed, step, int(training)])
         return c.settings.batch(rooms, rng)
+
+
+def mirrored(room: RoomSample) -> RoomSample:
+    """The same room with left and right exchanged: in the world, every level frame and image."""
+    size = room.depth.shape[1]
+    columns = (3 * size - 1 - np.arange(4 * size)) % (4 * size)
+    values = {name: getattr(room, name)[:, :, columns] for name in RINGS}
+    values["normal"] = values["normal"] * LEFT.astype(np.float32)
+    values["level_T_world"] = np.diag([*LEFT, 1.0]) @ room.level_T_world @ np.diag([*LEFT, 1.0])
+    values["scan_R_level"] = np.diag(RIGHT) @ room.scan_R_level @ np.diag(LEFT)
+    values["layout"] = room.layout[:, :, ::-1].copy()
+    values["planes"] = room.planes * np.array([*LEFT, 1.0], np.float32)
+    return cast("RoomSample", SimpleNamespace(**{**vars(room), **values}))
 
 
 def loader(batches: RoomBatches, steps: range, jobs: int) -> DataLoader[Batch]:
