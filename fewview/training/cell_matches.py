@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -12,18 +10,18 @@ from torch import Tensor
 
 from fewview.completion.layout.grid import FREE, HALF_M, UNKNOWN, cell_centres
 from fewview.geometry import se3
+from fewview.training import losses
+from fewview.training.point_batches import neighbours
+from fewview.training.problem import Batch
 from fewview.types import Array, FloatArray
 
-TEMPERATURE = 0.07
-APART_M = 0.4
 RIGHT_M = 0.25
-HIDDEN = -1e4
 
 
 def cell_matches(
     layout: NDArray[np.uint8],
     room: NDArray[np.int64],
-    level_T_world: Array,
+    frame_T_world: Array,
     count: int,
     rng: np.random.Generator,
 ) -> dict[str, Tensor]:
@@ -32,22 +30,22 @@ def cell_matches(
     Args:
         layout: (B, G, G).
         room: (B,) ascending.
-        level_T_world: (B, 4, 4).
+        frame_T_world: (B, 4, 4).
         count: M, cells per pair.
         rng: chooses them.
 
     Returns:
         ``match_source``, ``match_target`` (P,) cameras; ``match_cell`` (P, M) flat cell in the
-        source; ``match_place`` (P, M, 2) the same places in the target's level frame, metres;
+        source; ``match_place`` (P, M, 2) the same places in the target's frame, metres;
         ``match_valid`` (P, M) bool, inside the target's grid.
     """
-    pairs = _neighbours(room)
+    pairs = neighbours(room)
     centres = cell_centres().reshape(-1, 2)
     cells = np.zeros((len(pairs), count), np.int64)
     places = np.zeros((len(pairs), count, 2), np.float32)
     valid = np.zeros((len(pairs), count), bool)
     for i, (a, b) in enumerate(pairs):
-        target_T_source = level_T_world[b] @ se3.inverse(level_T_world[a])
+        target_T_source = frame_T_world[b] @ se3.inverse(frame_T_world[a])
         moved = _moved(target_T_source, centres)
         inside = np.abs(moved).max(axis=1) < HALF_M
         things = (layout[a].ravel() != FREE) & (layout[a].ravel() != UNKNOWN)
@@ -65,32 +63,18 @@ def cell_matches(
     return {name: torch.from_numpy(array) for name, array in named.items()}
 
 
-def match_loss(descriptors: Tensor, batch: Mapping[str, Tensor]) -> Tensor:
-    """InfoNCE (van den Oord et al. 2018, eq. 4) of matched cells, both ways.
-
-    Each cell's place in the other camera should look more alike than the other chosen places,
-    those closer than `APART_M` left out.
+def match_loss(descriptors: Tensor, batch: Batch) -> Tensor:
+    """How badly matched cells find each other among the chosen ones; see `losses.info_nce`.
 
     Args:
         descriptors: (B, D, G, G) unit length.
         batch: see `cell_matches`.
     """
     source, target = _compared(descriptors, batch)
-    logits = source @ target.mT / TEMPERATURE
-    valid = batch["match_valid"]
-    distance = torch.cdist(batch["match_place"], batch["match_place"])
-    same = torch.eye(logits.shape[1], dtype=torch.bool, device=logits.device)
-    hidden = ((distance < APART_M) & ~same) | ~valid[:, None] | ~valid[:, :, None]
-    logits = logits.masked_fill(hidden & ~same, HIDDEN)
-    right = torch.arange(logits.shape[1], device=logits.device).expand(len(logits), -1)
-    both = F.cross_entropy(logits, right, reduction="none")
-    both = both + F.cross_entropy(logits.mT, right, reduction="none")
-    return 0.5 * (both * valid).sum() / valid.sum().clamp(min=1)
+    return losses.info_nce(source, target, batch["match_place"], batch["match_valid"])
 
 
-def match_recall(
-    descriptors: Tensor, seen: Tensor, batch: Mapping[str, Tensor]
-) -> dict[str, float]:
+def match_recall(descriptors: Tensor, seen: Tensor, batch: Batch) -> dict[str, float]:
     """Share of cells whose 1 or 5 most alike places in the other camera hold one within 0.25 m.
 
     Counted apart for cells seen by both cameras (``oo``), by one (``op``) and by none (``pp``).
@@ -122,28 +106,19 @@ def match_recall(
     return out
 
 
-def _compared(descriptors: Tensor, batch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+def _compared(descriptors: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
     """(P, M, D) descriptors of the cells and of the same places in the other camera."""
     flat = descriptors.flatten(2).mT
     source = flat[batch["match_source"][:, None], batch["match_cell"]]
     return source, F.normalize(_sampled(descriptors, batch), dim=-1)
 
 
-def _sampled(images: Tensor, batch: Mapping[str, Tensor]) -> Tensor:
+def _sampled(images: Tensor, batch: Batch) -> Tensor:
     """(P, M, C) values of images (B, C, G, G) at the places, bilinear."""
     row_column = -batch["match_place"] / HALF_M
     at = row_column.flip(-1)[:, :, None]
     found = F.grid_sample(images[batch["match_target"]], at, align_corners=False)
     return found[..., 0].mT
-
-
-def _neighbours(room: NDArray[np.int64]) -> list[tuple[int, int]]:
-    pairs = []
-    for number in np.unique(room):
-        cameras = np.flatnonzero(room == number)
-        if len(cameras) > 1:
-            pairs += list(zip(cameras, np.roll(cameras, -1), strict=True))
-    return [(int(a), int(b)) for a, b in pairs]
 
 
 def _moved(target_T_source: Array, places: FloatArray) -> FloatArray:

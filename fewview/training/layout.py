@@ -2,110 +2,140 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
 
 from fewview.completion.layout.complete import observed_cells
-from fewview.completion.layout.grid import CLASSES, FREE, UNKNOWN, WALL
+from fewview.completion.layout.grid import CLASSES, FREE, UNKNOWN, WALL, cell_centres, cells_of
 from fewview.completion.layout.network import LayoutNetwork, LayoutNetworkConfig, LayoutOutput
+from fewview.completion.layout.points import POINTS, about_vertical
+from fewview.training import losses
 from fewview.training.cell_matches import cell_matches, match_loss, match_recall
 from fewview.training.point_batches import given, room_points
+from fewview.training.problem import Batch
 
 if TYPE_CHECKING:
     from fewview.synthetic.samples import RoomSample
 
 PRIOR_WEIGHT = 1.0
+FLOOR_LEVERS_M = (1.0, 3.0, 3.0)
 
 
 @dataclass(frozen=True)
-class LayoutProblem:
-    """The 2D layout completion network and its training.
+class Settings:
+    """Weights of the losses, and the network."""
 
-    Attributes:
-        size: of the network.
-        points: per scan.
-        tilt_deg: standard deviation of the error of the level frame.
-        class_weights: of the cross-entropy, one per class.
-        unseen_weight: of the cross-entropy in cells that were not observed, against 1.
-        floor_weight, match_weight: of the floor's and the descriptors' terms.
-        matches: cells compared between two cameras of a room.
-    """
-
-    size: LayoutNetworkConfig = field(default_factory=LayoutNetworkConfig)
-    points: int = 2048
+    network: LayoutNetworkConfig = field(default_factory=LayoutNetworkConfig)
+    """Its size."""
+    points: int = POINTS
+    """Points of a scan."""
     tilt_deg: float = 1.0
+    """Standard deviation of the error of the level frame about each horizontal axis."""
     class_weights: tuple[float, ...] = (0.5, 2.0, 0.7, 1.5, 4.0)
-    unseen_weight: float = 1.0
-    floor_weight: float = 0.5
-    match_weight: float = 0.1
+    """Of unknown, wall, free floor, furniture, door."""
+    unobserved: float = 1.0
+    """What the cross-entropy of a cell counts that was not observed, against one that was."""
+    floor: float = 0.5
+    """Of the floor's error."""
+    descriptor: float = 0.2
+    """Of the contrastive loss."""
     matches: int = 128
-    name: str = "layout"
+    """Cells for the contrastive loss in each pair of views."""
+
+
+class Problem:
+    """Complete the layout of furnished rooms from what one scan measures of them."""
+
+    name = "layout"
+
+    def __init__(self, settings: Settings = Settings()) -> None:
+        self.settings = settings
 
     def network(self) -> LayoutNetwork:
         """A network that has learnt nothing yet."""
-        network = LayoutNetwork(self.size)
-        network.class_weights.copy_(torch.tensor(self.class_weights))
+        network = LayoutNetwork(self.settings.network)
+        network.class_weights.copy_(torch.tensor(self.settings.class_weights))
         return network
 
-    def batch(self, rooms: Sequence[RoomSample], rng: np.random.Generator) -> dict[str, Tensor]:
+    def batch(self, rooms: Sequence[RoomSample], rng: np.random.Generator) -> Batch:
         """All cameras of the rooms: points, floor, layout (B, G, G) and matched cells."""
-        given_points = room_points(rooms, self.points, self.tilt_deg, rng)
-        layout = np.concatenate([room.layout for room in rooms])
-        found = cell_matches(
-            layout, given_points.room.numpy(), given_points.level_T_world, self.matches, rng
+        s = self.settings
+        scans = room_points(rooms, s.points, s.tilt_deg, rng)
+        layout = torch.from_numpy(np.concatenate([room.layout for room in rooms]).astype(np.int64))
+        layout, known = turned_layout(layout, scans.batch.heading)
+        matches = cell_matches(
+            layout.numpy(), scans.room.numpy(), scans.frame_T_world, s.matches, rng
         )
-        return {
-            **given_points.tensors(),
-            "layout": torch.from_numpy(layout.astype(np.int64)),
-            **found,
-        }
+        return {**scans.tensors(), "layout": layout, "layout_known": known, **matches}
 
-    def losses(self, network: LayoutNetwork, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def losses(self, network: nn.Module, batch: Batch) -> Batch:
         """Weighted cross-entropy of the cells, floor error, and the descriptors' contrast."""
+        s = self.settings
         output: LayoutOutput = network(given(batch))
+        classes = torch.tensor(s.class_weights, device=output.logits.device)
         error = F.cross_entropy(output.logits, batch["layout"], reduction="none")
-        weight = network.class_weights[batch["layout"]]
-        weight = torch.where(observed_cells(output), weight, self.unseen_weight * weight)
-        floor = output.floor - batch["floor"]
-        slope = floor.new_tensor([1.0, 3.0, 3.0])
+        weight = classes[batch["layout"]]
+        weight = torch.where(observed_cells(output), weight, s.unobserved * weight)
+        weight = weight * batch["layout_known"]
+        floor = (output.floor - batch["floor"]) * error.new_tensor(FLOOR_LEVERS_M)
         return {
-            "layout": (weight * error).sum() / weight.sum(),
-            "floor": self.floor_weight * F.smooth_l1_loss(slope * floor, 0 * floor, beta=0.1),
-            "match": self.match_weight * match_loss(output.descriptors, batch),
+            "layout": losses.weighted_mean(error, weight),
+            "floor": s.floor * F.smooth_l1_loss(floor, 0 * floor, beta=0.1),
+            "descriptor": s.descriptor * match_loss(output.descriptors, batch),
         }
 
-    def metrics(self, network: LayoutNetwork, batch: Mapping[str, Tensor]) -> dict[str, float]:
+    def metrics(self, network: nn.Module, batch: Batch) -> dict[str, float]:
         """Figures over the cells that were not observed, beside baselines; see `figures`."""
-        with torch.no_grad():
-            output: LayoutOutput = network(given(batch))
-            chance = network.probabilities(output.logits)
+        output: LayoutOutput = network(given(batch))
+        chance = cast(LayoutNetwork, network).probabilities(output.logits)
         truth, seen = batch["layout"], observed_cells(output)
-        copied = torch.where(seen, truth, UNKNOWN)
-        prior = cell_prior(truth, batch["room"]).argmax(dim=1)
-        out = figures(chance.argmax(dim=1), truth, seen)
-        out |= {f"copy_{k}": v for k, v in figures(copied, truth, seen).items()}
-        out |= {f"prior_{k}": v for k, v in figures(prior, truth, seen).items()}
-        out["seen_accuracy"] = _mean(chance.argmax(dim=1) == truth, seen)
-        out["calibration_error"] = calibration_error(chance, truth)
-        out["floor_error_m"] = float((output.floor - batch["floor"])[:, 0].abs().mean())
-        return out | match_recall(output.descriptors, seen, batch)
+        hidden = ~seen & batch["layout_known"]
+        answers = {
+            "": output.logits.argmax(dim=1),
+            "copy_": torch.where(seen, truth, UNKNOWN),
+            "prior_": cell_prior(truth, batch["room"]).argmax(dim=1),
+        }
+        out = {
+            f"{name}{k}": v
+            for name, answer in answers.items()
+            for k, v in figures(answer, truth, hidden).items()
+        }
+        return {
+            **out,
+            "seen_accuracy": _mean(answers[""] == truth, seen),
+            "calibration_error": calibration_error(chance, truth, batch["layout_known"]),
+            "floor_error_m": float((output.floor - batch["floor"])[:, 0].abs().mean()),
+            **match_recall(output.descriptors, seen, batch),
+        }
 
 
-def figures(answer: Tensor, truth: Tensor, seen: Tensor) -> dict[str, float]:
-    """How good layouts (B, G, G) are where nothing was seen.
+def turned_layout(layout: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:
+    """Layouts (B, G, G) of the level frames on grids of the wall frames, nearest cell.
 
     Returns:
-        ``accuracy`` and ``iou`` (mean over the classes that occur) of the unseen cells,
+        (B, G, G) and where they are known: the corners of a turned grid reach beyond the other.
+    """
+    wall_R_level = torch.from_numpy(about_vertical(heading.numpy()))[:, None, :2, :2]
+    places = torch.from_numpy(cell_centres()) @ wall_R_level
+    cells, inside = cells_of(places)
+    found = layout.flatten(1).gather(1, cells.flatten(1)).reshape(layout.shape)
+    return torch.where(inside, found, UNKNOWN), inside
+
+
+def figures(answer: Tensor, truth: Tensor, hidden: Tensor) -> dict[str, float]:
+    """How good layouts (B, G, G) are in the ``hidden`` cells, where nothing was seen.
+
+    Returns:
+        ``accuracy`` and ``iou`` (mean over the classes that occur) of those cells,
         ``free_iou`` and ``wall_iou`` among them, and of walls, the share of true ones within a
         cell of a predicted one (``wall_recall``) and the other way round (``wall_precision``).
     """
-    hidden = ~seen
     ious = [_iou(answer == c, truth == c, hidden) for c in range(len(CLASSES))]
     present = [iou for c, iou in enumerate(ious) if bool(((truth == c) & hidden).any())]
     wall, true_wall = answer == WALL, truth == WALL
@@ -129,14 +159,13 @@ def cell_prior(truth: Tensor, room: Tensor) -> Tensor:
     return total / total.sum(dim=1, keepdim=True)
 
 
-def calibration_error(chance: Tensor, truth: Tensor, bins: int = 10) -> float:
+def calibration_error(chance: Tensor, truth: Tensor, where: Tensor, bins: int = 10) -> float:
     """Expected calibration error of the most probable class (Guo et al., ICML 2017, eq. 3)."""
     confidence, answer = chance.max(dim=1)
-    right = (answer == truth).float()
-    number = (confidence * bins).long().clamp(max=bins - 1).flatten()
-    gap = torch.zeros(bins, device=chance.device)
-    gap = gap.index_add(0, number, (confidence - right).flatten())
-    return float(gap.abs().sum() / right.numel())
+    confidence, right = confidence[where], (answer == truth)[where].float()
+    number = (confidence * bins).long().clamp(max=bins - 1)
+    gap = torch.zeros(bins, device=chance.device).index_add(0, number, confidence - right)
+    return float(gap.abs().sum() / max(1, right.numel()))
 
 
 def _iou(a: Tensor, b: Tensor, where: Tensor) -> float:

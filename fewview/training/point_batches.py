@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,9 +11,10 @@ import torch
 from torch import Tensor
 
 from fewview.completion.layout.pointnet import PointBatch
-from fewview.completion.layout.points import choose_pixels, points_of
+from fewview.completion.layout.points import about_vertical, choose_pixels, points_of
 from fewview.completion.panorama.ring import ring_normals
 from fewview.geometry import se3
+from fewview.training.problem import Batch
 from fewview.types import Array, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -29,20 +30,22 @@ class RoomPoints:
     Attributes:
         batch: what the networks are given.
         pixels: (B, N) flat ring pixel of each point, 0 where not valid.
-        tilts: (B, 3, 3) rotation of the given points against the true level frame.
+        turns: (B, 3, 3) from the level frames to the true wall frames.
+        tilts: (B, 3, 3) rotation of the given points against the true wall frame.
         floor: (B, 3) h, a, b of the floor z = h + a x + b y as the tilted points have it.
         room: (B,) number of the room.
-        level_T_world: (B, 4, 4), without the tilt.
+        frame_T_world: (B, 4, 4) into the wall frames, without the tilt.
     """
 
     batch: PointBatch
     pixels: IntArray
+    turns: Array
     tilts: Array
     floor: Tensor
     room: Tensor
-    level_T_world: Array
+    frame_T_world: Array
 
-    def tensors(self) -> dict[str, Tensor]:
+    def tensors(self) -> Batch:
         """The batch, the floor and the rooms by name."""
         return {**self.batch._asdict(), "floor": self.floor, "room": self.room}
 
@@ -67,22 +70,35 @@ def room_points(
         scans.append(points_of(room.measured[v], room.colour[v], normal, chosen, count))
         pixels.append(np.resize(chosen, count) if len(chosen) else np.zeros(count, np.int64))
     tilts = se3.rotation_exp(np.radians(rng.normal(0, tilt_deg, (len(views), 3))) * [1, 1, 0])
+    level_T_world = np.concatenate([room.level_T_world for room in rooms])
     batch = PointBatch.of(scans)
+    turns = about_vertical(batch.heading.numpy()).astype(np.float64)
     turn = torch.from_numpy(tilts.astype(np.float32)).mT
     batch = batch._replace(points=batch.points @ turn, normals=batch.normals @ turn)
     return RoomPoints(
         batch=batch,
         pixels=np.stack(pixels),
+        turns=turns,
         tilts=tilts,
         floor=torch.from_numpy(_floors(rooms, tilts)),
         room=torch.tensor([i for i, room in enumerate(rooms) for _ in room.depth]),
-        level_T_world=np.concatenate([room.level_T_world for room in rooms]),
+        frame_T_world=se3.pose(turns, np.zeros((len(turns), 3))) @ level_T_world,
     )
 
 
-def given(batch: Mapping[str, Tensor]) -> PointBatch:
+def given(batch: Batch) -> PointBatch:
     """The networks' input out of named tensors."""
     return PointBatch(*(batch[name] for name in PointBatch._fields))
+
+
+def neighbours(room: IntArray) -> list[tuple[int, int]]:
+    """Each camera with the next one of its room; ``room`` (B,) numbers the cameras' rooms."""
+    pairs = []
+    for number in np.unique(room):
+        cameras = np.flatnonzero(room == number)
+        if len(cameras) > 1:
+            pairs += list(zip(cameras, np.roll(cameras, -1), strict=True))
+    return [(int(a), int(b)) for a, b in pairs]
 
 
 def _floors(rooms: Sequence[RoomSample], tilts: Array) -> FloatArray:

@@ -9,9 +9,10 @@ import numpy as np
 import torch
 
 from fewview import weights
+from fewview.completion.layout.grid import cell_centres
 from fewview.completion.layout.network import LayoutNetwork, LayoutNetworkConfig, LayoutOutput
 from fewview.completion.layout.pointnet import PointBatch
-from fewview.completion.layout.points import ScanPoints
+from fewview.completion.layout.points import ScanPoints, about_vertical
 from fewview.types import Array, BoolArray, FloatArray
 
 NAME = "layout"
@@ -19,16 +20,18 @@ NAME = "layout"
 
 @dataclass(frozen=True)
 class LayoutCompletion:
-    """A room from above in the level frame of the scan; see `grid` for rows and columns.
+    """A room from above on a grid along its walls; see `grid` for rows and columns.
 
     Attributes:
+        places: (CELLS, CELLS, 2) x, y of the cells' centres in the scan's level frame, metres.
         probabilities: (5, CELLS, CELLS) of the classes in `grid.CLASSES`.
         descriptors: (CELLS, CELLS, 32) unit length.
         confidence: (CELLS, CELLS) probability that the most probable class is right.
         observed: (CELLS, CELLS) bool, cells with a point or that the camera looked through.
-        floor: (4,) normal n (upwards) and offset d of the floor n . x = d.
+        floor: (4,) normal n (upwards) and offset d of the floor n . x = d, level frame.
     """
 
+    places: FloatArray
     probabilities: FloatArray
     descriptors: FloatArray
     confidence: FloatArray
@@ -49,7 +52,7 @@ def shipped_network() -> LayoutNetwork:
         FewviewError: they are missing or damaged.
     """
     state, card = weights.load(NAME)
-    network = LayoutNetwork(LayoutNetworkConfig(**card["network"]))
+    network = LayoutNetwork(LayoutNetworkConfig(**card["config"]["settings"]["network"]))
     network.load_state_dict(state)
     return network.eval()
 
@@ -71,15 +74,18 @@ def complete_layout(scan: ScanPoints, network: LayoutNetwork | None = None) -> L
         output = network(batch)
         probabilities = network.probabilities(output.logits)[0]
         observed = observed_cells(output)[0]
+    wall_R_level = about_vertical(scan.heading)
     return LayoutCompletion(
+        cell_centres() @ wall_R_level[:2, :2],
         probabilities.cpu().numpy(),
         output.descriptors[0].permute(1, 2, 0).cpu().numpy(),
         probabilities.amax(dim=0).cpu().numpy(),
         observed.cpu().numpy(),
-        _floor_plane(*output.floor[0].double().tolist()),
+        _floor_plane(output.floor[0].cpu().numpy(), wall_R_level),
     )
 
 
-def _floor_plane(h: float, a: float, b: float) -> Array:
-    plane = np.array([-a, -b, 1.0, h])
-    return np.asarray(plane / np.linalg.norm(plane[:3]))
+def _floor_plane(floor: FloatArray, wall_R_level: FloatArray) -> Array:
+    h, a, b = floor.astype(np.float64)
+    normal = np.array([-a, -b, 1.0])
+    return np.asarray(np.append(normal @ wall_R_level, h) / np.linalg.norm(normal))

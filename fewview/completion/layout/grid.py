@@ -1,6 +1,6 @@
-"""The top-down grid of a levelled scan: the camera in the middle, ahead at the top.
+"""The top-down grid of a levelled scan: the camera in the middle, +x at the top.
 
-Row 0 is the strip at x = +4 m, column 0 the strip at y = +4 m; z points up, x ahead, y left.
+Row 0 is the strip at x = +4 m, column 0 the strip at y = +4 m; z points up.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ AZIMUTH_BINS = 180
 
 
 def cell_centres() -> FloatArray:
-    """(CELLS, CELLS, 2) x, y of every cell's centre, metres in the level frame."""
+    """(CELLS, CELLS, 2) x, y of every cell's centre, metres."""
     along = HALF_M - CELL_M * (np.arange(CELLS, dtype=np.float32) + np.float32(0.5))
     return np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1)
 
 
 def cells_of(points: Tensor) -> tuple[Tensor, Tensor]:
-    """The cell of (..., 2 or 3) points in the level frame.
+    """The cell of (..., 2 or 3) points.
 
     Returns:
         (...) int64 row * CELLS + column, 0 for points outside, and (...) bool: inside the grid.

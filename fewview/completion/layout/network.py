@@ -39,7 +39,7 @@ class LayoutOutput(NamedTuple):
     Attributes:
         logits: (B, 5, CELLS, CELLS) of the weighted classes; see `LayoutNetwork.probabilities`.
         descriptors: (B, DESCRIPTOR, CELLS, CELLS) of unit length.
-        floor: (B, 3) h, a, b of the floor z = h + a x + b y in the level frame.
+        floor: (B, 3) h, a, b of the floor z = h + a x + b y in the wall frame.
         free: (B, BINS, CELLS, CELLS), 1 where the camera looked through.
         occupied: (B, CELLS, CELLS) bool, cells with a point.
     """

@@ -20,7 +20,7 @@ class PointBatch(NamedTuple):
 
     Attributes:
         points: (B, N, 3); colours: (B, N, 3); normals: (B, N, 3); valid: (B, N) bool.
-        field_of_view: (B, CELLS, CELLS) bool.
+        field_of_view: (B, CELLS, CELLS) bool; heading: (B,).
     """
 
     points: Tensor
@@ -28,6 +28,7 @@ class PointBatch(NamedTuple):
     normals: Tensor
     valid: Tensor
     field_of_view: Tensor
+    heading: Tensor
 
     @staticmethod
     def of(scans: Sequence[ScanPoints]) -> PointBatch:

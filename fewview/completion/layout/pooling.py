@@ -25,7 +25,7 @@ def pooled(features: Tensor, points: Tensor, heights: Tensor, valid: Tensor) -> 
 
     Args:
         features: (B, N, C), not negative.
-        points: (B, N, 3), level frame.
+        points: (B, N, 3), metres.
         heights: (B, N) over the floor.
         valid: (B, N) bool.
 
@@ -49,7 +49,7 @@ def seen_through(points: Tensor, floor: Tensor, valid: Tensor) -> Tensor:
     """Which bins the camera looked through on its way to the points.
 
     Args:
-        points: (B, N, 3), level frame, the camera at the origin.
+        points: (B, N, 3), metres, the camera at the origin.
         floor: (B, 3) as in `heights_over`.
         valid: (B, N) bool.
 
