@@ -291,14 +291,18 @@ def _train(options: argparse.Namespace) -> int:
     config = settings.load(options.config, tuple(options.set))
     out = options.out or Path("results") / options.config.stem
     jobs = max(1, (os.cpu_count() or 1) - 1) if options.jobs is None else options.jobs
-    best = loop.train(
-        config,
-        out,
-        resume=options.resume,
-        device=options.device,
-        jobs=jobs,
-        report=lambda line: print(line, file=sys.stderr, flush=True),
-    )
+    try:
+        best = loop.train(
+            config,
+            out,
+            resume=options.resume,
+            device=options.device,
+            jobs=jobs,
+            report=lambda line: print(line, file=sys.stderr, flush=True),
+        )
+    except KeyboardInterrupt:
+        print(f"fewview: stopped; --resume goes on from {out}", file=sys.stderr)
+        return INTERRUPTED
     print(f"weights: {best}")
     return ALL_PLACED
 

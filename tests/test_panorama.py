@@ -126,7 +126,7 @@ def test_walls_tell_the_six_directions() -> None:
 def test_shapes_and_units(network: PanoramaNetwork) -> None:
     room = box_room(0, views=2, size=SIZE)
     inputs = network_input(torch.from_numpy(room.colour), torch.from_numpy(room.measured))
-    assert inputs.shape == (2, 8, SIZE, 4 * SIZE)
+    assert inputs.shape == (2, 10, SIZE, 4 * SIZE)
     answer = network(inputs)
     assert answer.log_depth.shape == answer.log_scale.shape == (2, SIZE, 4 * SIZE)
     assert answer.normal.shape == (2, 3, SIZE, 4 * SIZE)

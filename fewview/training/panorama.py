@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from fewview.synthetic.samples import RoomSample
 
 STACKED = ("colour", "depth", "normal", "semantics", "observed", "measured")
+GREY = 127
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,8 @@ class PanoramaProblem:
     """Of the contrastive loss."""
     measured: float = 0.3
     """What a measured pixel counts against one that has to be guessed."""
+    colourless: float = 0.15
+    """Share of the training rings without colour, so that geometry alone is believed as well."""
     pairs: int = 192
     """Places for the contrastive loss in each pair of views."""
     class_weights: tuple[float, ...] = (0.0, 0.4, 0.8, 0.6, 1.0, 1.1, 2.0, 2.5, 2.0, 3.0, 1.0, 1.0)
@@ -64,11 +67,16 @@ class PanoramaProblem:
         return {
             **{name: torch.from_numpy(array) for name, array in rings.items()},
             "world_T_level": torch.from_numpy(poses.astype(np.float32)),
+            "chance": torch.from_numpy(rng.random(len(poses), dtype=np.float32)),
             **contrastive.sample_pairs(rooms, self.pairs, rng),
         }
 
     def losses(self, network: nn.Module, batch: Batch) -> dict[str, Tensor]:
-        answer: RingPrediction = network(network_input(batch["colour"], batch["measured"]))
+        colour = batch["colour"]
+        if network.training:
+            without = (batch["chance"] < self.colourless)[:, None, None, None]
+            colour = torch.where(without, torch.full_like(colour, GREY), colour)
+        answer: RingPrediction = network(network_input(colour, batch["measured"]))
         known, seen = batch["depth"] > 0, batch["measured"] > 0
         weight = known * torch.where(seen, self.measured, 1.0)
         error = (answer.log_depth - _log(batch["depth"])).abs()

@@ -13,6 +13,7 @@ from torch import Tensor
 from fewview import weights
 from fewview.completion.panorama.network import (
     COARSE,
+    NORMALS,
     PanoramaNetwork,
     PanoramaNetworkConfig,
     RingPrediction,
@@ -60,7 +61,7 @@ def complete_ring(ring: RingScan, network: PanoramaNetwork | None = None) -> Com
     device = next(network.parameters()).device
     inputs = ring_tensors(ring.colour, ring.depth).to(device)
     with torch.inference_mode():
-        return _kept(ring, inputs[0, 4:7], network(inputs))
+        return _kept(ring, inputs[0, NORMALS], network(inputs))
 
 
 @cache

@@ -16,7 +16,7 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from fewview.completion.panorama.ring import ring_normals, unit
+from fewview.completion.panorama.ring import ring_normals, ring_rays, unit
 from fewview.types import FloatArray
 
 CLASSES = (
@@ -33,7 +33,8 @@ CLASSES = (
     "cabinet",
     "other",
 )
-INPUTS = 8
+INPUTS = 10
+NORMALS = slice(4, 7)
 STEM = 4
 COARSE = 2
 GEOMETRY = (1, 1, 3, 1)
@@ -73,19 +74,24 @@ class RingPrediction(NamedTuple):
 
 
 def network_input(colour: Tensor, depth: Tensor) -> Tensor:
-    """Rings as channels: colour 3, log depth 1, normal 3, mask 1; 0 where nothing was measured.
+    """Rings as channels: colour 3, log depth 1, normal 3, height 1, mask 1, all 0 where nothing was
+    measured, and the elevation of the pixel's ray.
 
     Args:
         colour: (B, S, 4 S, 3) uint8.
         depth: (B, S, 4 S) float32, 0 unknown.
 
     Returns:
-        (B, 8, S, 4 S).
+        (B, 10, S, 4 S).
     """
+    up = torch.from_numpy(ring_rays(depth.shape[1])[..., 2]).to(depth.device)
     known = (depth > 0)[:, None].to(depth.dtype)
     rgb = colour.permute(0, 3, 1, 2).to(depth.dtype) / 127.5 - 1.0
     log_depth = torch.log(depth.clamp_min(0.05))[:, None] - TYPICAL_LOG_DEPTH
-    return torch.cat([rgb * known, log_depth * known, ring_normals(depth), known], dim=1)
+    height = (depth * up)[:, None]
+    elevation = up.expand_as(depth)[:, None]
+    shown = [rgb * known, log_depth * known, ring_normals(depth), height, known, elevation]
+    return torch.cat(shown, dim=1)
 
 
 class PanoramaNetwork(nn.Module):
@@ -115,7 +121,7 @@ class PanoramaNetwork(nn.Module):
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, inputs: Tensor) -> RingPrediction:
-        """Complete (B, 8, S, 4 S) rings made by `network_input`; S is a multiple of 64."""
+        """Complete (B, 10, S, 4 S) rings made by `network_input`; S is a multiple of 64."""
         x = self.stem(inputs.contiguous(memory_format=torch.channels_last))
         skips = []
         for block, down in zip(self.encoder, self.down, strict=True):
@@ -130,7 +136,7 @@ class PanoramaNetwork(nn.Module):
         return RingPrediction(
             depth[:, 0] + TYPICAL_LOG_DEPTH,
             (scale[:, 0] - 1.0).clamp(*LOG_SCALE_RANGE),
-            _snapped(normal, gate, inputs[:, 4:7].float()),
+            _snapped(normal, gate, inputs[:, NORMALS].float()),
             semantics,
             descriptor,
         )
