@@ -16,11 +16,11 @@ from fewview.completion.layout.pooling import BINS, heights_over, pooled, seen_t
 from fewview.completion.panorama.ring import RingScan
 from fewview.geometry import se3
 from fewview.training.cell_matches import match_loss, match_recall
-from fewview.training.layout import Problem, Settings, calibration_error, figures, turned_layout
+from fewview.training.layout import LayoutProblem, calibration_error, figures, turned_layout
 from tests.box_rooms import box_room
 
 SIZE = LayoutNetworkConfig(width=8, point_features=4)
-PROBLEM = Problem(Settings(network=SIZE, points=256, matches=32, tilt_deg=0.0))
+PROBLEM = LayoutProblem(size=SIZE, points=256, matches=32, tilt_deg=0.0)
 
 
 def scan_of(seed: int, count: int = 256) -> ScanPoints:

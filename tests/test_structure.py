@@ -23,12 +23,12 @@ from fewview.training.plane_figures import box_walls, plane_figures
 from fewview.training.plane_matches import seen_planes
 from fewview.training.point_batches import given
 from fewview.training.problem import Batch
-from fewview.training.structure import Problem, Settings
+from fewview.training.structure import StructureProblem
 from fewview.training.structure_targets import plane_truth, wall_slots
 from tests.box_rooms import EYE_M, HEIGHT_M, box_room
 
 SIZE = StructureNetworkConfig(local=16, whole=32, sector=32)
-PROBLEM = Problem(Settings(network=SIZE, points=256, matches=32, tilt_deg=0.0))
+PROBLEM = StructureProblem(size=SIZE, points=256, matches=32, tilt_deg=0.0)
 SLOTS = anchors.ANCHORS * anchors.SLOTS
 
 

@@ -28,11 +28,11 @@ FLOOR_LEVERS_M = (1.0, 3.0, 3.0)
 
 
 @dataclass(frozen=True)
-class Settings:
-    """Weights of the losses, and the network."""
+class LayoutProblem:
+    """Complete the layout of furnished rooms from what one scan measures of them."""
 
-    network: LayoutNetworkConfig = field(default_factory=LayoutNetworkConfig)
-    """Its size."""
+    size: LayoutNetworkConfig = field(default_factory=LayoutNetworkConfig)
+    """Of the network."""
     points: int = POINTS
     """Points of a scan."""
     tilt_deg: float = 1.0
@@ -47,47 +47,38 @@ class Settings:
     """Of the contrastive loss."""
     matches: int = 128
     """Cells for the contrastive loss in each pair of views."""
-
-
-class Problem:
-    """Complete the layout of furnished rooms from what one scan measures of them."""
-
-    name = "layout"
-
-    def __init__(self, settings: Settings = Settings()) -> None:
-        self.settings = settings
+    name: str = "layout"
+    """Of the weights."""
 
     def network(self) -> LayoutNetwork:
         """A network that has learnt nothing yet."""
-        network = LayoutNetwork(self.settings.network)
-        network.class_weights.copy_(torch.tensor(self.settings.class_weights))
+        network = LayoutNetwork(self.size)
+        network.class_weights.copy_(torch.tensor(self.class_weights))
         return network
 
     def batch(self, rooms: Sequence[RoomSample], rng: np.random.Generator) -> Batch:
         """All cameras of the rooms: points, floor, layout (B, G, G) and matched cells."""
-        s = self.settings
-        scans = room_points(rooms, s.points, s.tilt_deg, rng)
+        scans = room_points(rooms, self.points, self.tilt_deg, rng)
         layout = torch.from_numpy(np.concatenate([room.layout for room in rooms]).astype(np.int64))
         layout, known = turned_layout(layout, scans.batch.heading)
         matches = cell_matches(
-            layout.numpy(), scans.room.numpy(), scans.frame_T_world, s.matches, rng
+            layout.numpy(), scans.room.numpy(), scans.frame_T_world, self.matches, rng
         )
         return {**scans.tensors(), "layout": layout, "layout_known": known, **matches}
 
     def losses(self, network: nn.Module, batch: Batch) -> Batch:
         """Weighted cross-entropy of the cells, floor error, and the descriptors' contrast."""
-        s = self.settings
         output: LayoutOutput = network(given(batch))
-        classes = torch.tensor(s.class_weights, device=output.logits.device)
+        classes = torch.tensor(self.class_weights, device=output.logits.device)
         error = F.cross_entropy(output.logits, batch["layout"], reduction="none")
         weight = classes[batch["layout"]]
-        weight = torch.where(observed_cells(output), weight, s.unobserved * weight)
+        weight = torch.where(observed_cells(output), weight, self.unobserved * weight)
         weight = weight * batch["layout_known"]
         floor = (output.floor - batch["floor"]) * error.new_tensor(FLOOR_LEVERS_M)
         return {
             "layout": losses.weighted_mean(error, weight),
-            "floor": s.floor * F.smooth_l1_loss(floor, 0 * floor, beta=0.1),
-            "descriptor": s.descriptor * match_loss(output.descriptors, batch),
+            "floor": self.floor * F.smooth_l1_loss(floor, 0 * floor, beta=0.1),
+            "descriptor": self.descriptor * match_loss(output.descriptors, batch),
         }
 
     def metrics(self, network: nn.Module, batch: Batch) -> dict[str, float]:

@@ -11,7 +11,7 @@ from torch import Tensor
 from fewview.completion.structure import anchors
 from fewview.completion.structure.network import LevelPrediction, PointPrediction, WallPrediction
 from fewview.training.plane_matches import seen_planes
-from fewview.training.point_batches import CEILING, WALL
+from fewview.training.point_batches import WALL
 from fewview.training.problem import Batch
 
 TOLERANCES = {"": (15.0, 0.3), "_strict": (10.0, 0.2)}
@@ -90,31 +90,40 @@ def _wall_errors(walls: WallPrediction, batch: Batch) -> dict[str, float]:
 
 
 def _level_errors(levels: LevelPrediction, batch: Batch) -> dict[str, float]:
-    ceiling = batch["plane_kind"] == CEILING
-    height = -batch["plane"][..., 3].where(ceiling, 0.0).sum(dim=1)
-    off = (levels.height[:, 1] - height).abs()[ceiling.any(dim=1)]
-    floor = (levels.height[:, 0] - batch["floor"][:, 0]).abs()
-    return {"floor_m": float(floor.mean()), "ceiling_m": float(off.mean())}
+    truth, known = level_heights(batch)
+    error = (levels.height - truth).abs()
+    return {n: float(error[known[:, i], i].mean()) for i, n in enumerate(("floor_m", "ceiling_m"))}
+
+
+def level_heights(batch: Batch) -> tuple[Tensor, Tensor]:
+    """Heights (B, 2) of floor, as tilted, and ceiling at the camera's foot point; known (B, 2)."""
+    level = batch["level_plane"]
+    planes = batch["plane"].gather(1, level.clamp(min=0)[..., None].expand(-1, -1, 4))
+    height = planes[..., 2] * planes[..., 3]
+    return torch.stack([batch["floor"][:, 0], height[:, 1]], dim=1), level >= 0
+
+
+def point_centres(batch: Batch) -> tuple[Tensor, Tensor]:
+    """Centres (B, N, 3) of the points' planes and where they are known (B, N)."""
+    label = batch["point_plane"].clamp(min=0)
+    centre = batch["plane_centre"].gather(1, label[..., None].expand(-1, -1, 3))
+    known = batch["plane_known"].gather(1, label) & (batch["point_plane"] >= 0)
+    return centre, known
 
 
 def point_figures(points: PointPrediction, batch: Batch) -> dict[str, float]:
     """Of the points: median angle of the normals, given and predicted, accuracy of the classes,
     and the share of centres within 0.3 m."""
     valid = batch["valid"] & (batch["point_class"] > 0)
-    error = (batch["points"] + points.offset - _centres(batch)).norm(dim=-1)
-    on = (batch["point_plane"] >= 0) & valid
+    centre, on = point_centres(batch)
+    error = (batch["points"] + points.offset - centre).norm(dim=-1)
     known = batch["normals"].norm(dim=-1) > 0.5
     return {
         "normal_median_deg": _median_angle(points.normal, batch, valid),
         "given_normal_median_deg": _median_angle(batch["normals"], batch, valid & known),
         "class_accuracy": mean_of(points.semantics.argmax(dim=-1) == batch["point_class"], valid),
-        "centre_within_30cm": mean_of(error < 0.3, on),
+        "centre_within_30cm": mean_of(error < 0.3, on & valid),
     }
-
-
-def _centres(batch: Batch) -> Tensor:
-    label = batch["point_plane"].clamp(min=0)
-    return batch["plane_centre"].gather(1, label[..., None].expand(-1, -1, 3))
 
 
 def _median_angle(normals: Tensor, batch: Batch, where: Tensor) -> float:

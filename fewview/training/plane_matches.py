@@ -7,7 +7,6 @@ from torch import Tensor
 
 from fewview.completion.structure.network import LevelPrediction, PointPrediction, WallPrediction
 from fewview.training import losses
-from fewview.training.point_batches import CEILING, FLOOR
 from fewview.training.problem import Batch
 
 TEMPERATURE = 0.1
@@ -72,11 +71,6 @@ def _described(
     chosen = batch["match_points"]
     size = points.descriptor.shape[-1]
     near = points.descriptor.gather(1, chosen[..., None].expand(-1, -1, size))
-    kind = batch["plane_kind"]
-    flat = torch.stack([_first(kind == FLOOR), _first(kind == CEILING)], dim=1)
-    plane = torch.cat([batch["point_plane"].gather(1, chosen), batch["wall_plane"], flat], dim=1)
+    shown = batch["point_plane"].gather(1, chosen)
+    plane = torch.cat([shown, batch["wall_plane"], batch["level_plane"]], dim=1)
     return torch.cat([near, walls.descriptor, levels.descriptor], dim=1), plane
-
-
-def _first(mask: Tensor) -> Tensor:
-    return torch.where(mask.any(dim=1), mask.int().argmax(dim=1), -1)

@@ -20,9 +20,14 @@ from fewview.completion.structure.network import (
     WallPrediction,
 )
 from fewview.training import losses
-from fewview.training.plane_figures import plane_figures, point_figures
+from fewview.training.plane_figures import (
+    level_heights,
+    plane_figures,
+    point_centres,
+    point_figures,
+)
 from fewview.training.plane_matches import match_loss, match_recall
-from fewview.training.point_batches import CEILING, given
+from fewview.training.point_batches import given
 from fewview.training.problem import Batch
 from fewview.training.structure_batch import structure_batch
 
@@ -31,11 +36,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Settings:
-    """Weights of the losses, and the network."""
+class StructureProblem:
+    """Name the planes of furnished rooms from what one scan measures of them."""
 
-    network: StructureNetworkConfig = field(default_factory=StructureNetworkConfig)
-    """Its size."""
+    size: StructureNetworkConfig = field(default_factory=StructureNetworkConfig)
+    """Of the network."""
     points: int = POINTS
     """Points of a scan."""
     tilt_deg: float = 1.0
@@ -62,24 +67,16 @@ class Settings:
     """Points of a scan for the contrastive loss."""
     class_weights: tuple[float, ...] = (0.0, 0.4, 0.8, 0.6, 1.0, 1.1, 2.0, 2.5, 2.0, 3.0, 1.0, 1.0)
     """Of unknown, wall, floor, ceiling, door, window, table, chair, sofa, bed, cabinet, other."""
-
-
-class Problem:
-    """Name the planes of furnished rooms from what one scan measures of them."""
-
-    name = "structure"
-
-    def __init__(self, settings: Settings = Settings()) -> None:
-        self.settings = settings
+    name: str = "structure"
+    """Of the weights."""
 
     def network(self) -> StructureNetwork:
         """A network that has learnt nothing yet."""
-        return StructureNetwork(self.settings.network)
+        return StructureNetwork(self.size)
 
     def batch(self, rooms: Sequence[RoomSample], rng: np.random.Generator) -> Batch:
         """All cameras of the rooms: points with their planes, walls in slots, floor and ceiling."""
-        s = self.settings
-        return structure_batch(rooms, s.points, s.tilt_deg, s.matches, rng)
+        return structure_batch(rooms, self.points, self.tilt_deg, self.matches, rng)
 
     def losses(self, network: nn.Module, batch: Batch) -> Batch:
         """What points, walls and levels are off by, and the descriptors' contrast."""
@@ -87,8 +84,8 @@ class Problem:
         return {
             **self._point_losses(points, batch),
             **self._wall_losses(walls, batch),
-            "level": self.settings.level * _level_loss(levels, batch),
-            "descriptor": self.settings.descriptor * match_loss(points, walls, levels, batch),
+            "level": self.level * _level_loss(levels, batch),
+            "descriptor": self.descriptor * match_loss(points, walls, levels, batch),
         }
 
     def metrics(self, network: nn.Module, batch: Batch) -> dict[str, float]:
@@ -101,22 +98,22 @@ class Problem:
         }
 
     def _point_losses(self, points: PointPrediction, batch: Batch) -> Batch:
-        s, valid = self.settings, batch["valid"].float()
+        valid = batch["valid"].float()
         normal = losses.normal_error(points.normal.mT, batch["point_normal"].mT)
         turned = batch["point_normal"].norm(dim=-1) > 0.5
         centre, known = point_centres(batch)
         error = (batch["points"] + points.offset - centre).abs().sum(dim=-1)
         offset = losses.laplace(error, points.log_scale)
-        classes = torch.tensor(s.class_weights, device=valid.device)
+        classes = torch.tensor(self.class_weights, device=valid.device)
         return {
-            "normal": s.normal * losses.weighted_mean(normal, valid * turned),
-            "offset": s.offset * losses.weighted_mean(offset, valid * known),
-            "semantics": s.semantics
+            "normal": self.normal * losses.weighted_mean(normal, valid * turned),
+            "offset": self.offset * losses.weighted_mean(offset, valid * known),
+            "semantics": self.semantics
             * losses.semantics(points.semantics.mT, batch["point_class"] * batch["valid"], classes),
         }
 
     def _wall_losses(self, walls: WallPrediction, batch: Batch) -> Batch:
-        s, there = self.settings, (batch["wall_plane"] >= 0).float()
+        there = (batch["wall_plane"] >= 0).float()
         turn = walls.azimuth - batch["wall_azimuth"]
         azimuth = torch.atan2(turn.sin(), turn.cos()).abs()
         away = (walls.distance - batch["wall_distance"]).abs()
@@ -125,27 +122,14 @@ class Problem:
         middle = losses.laplace(beside, walls.middle_log_scale)
         known = there * batch["wall_middle_known"]
         return {
-            "exists": s.exists * F.binary_cross_entropy_with_logits(walls.exists, there),
-            "azimuth": s.azimuth * losses.weighted_mean(azimuth, there),
-            "distance": s.distance * losses.weighted_mean(distance, there),
-            "middle": s.middle * losses.weighted_mean(middle, known),
+            "exists": self.exists * F.binary_cross_entropy_with_logits(walls.exists, there),
+            "azimuth": self.azimuth * losses.weighted_mean(azimuth, there),
+            "distance": self.distance * losses.weighted_mean(distance, there),
+            "middle": self.middle * losses.weighted_mean(middle, known),
         }
 
 
-def point_centres(batch: Batch) -> tuple[Tensor, Tensor]:
-    """Centres (B, N, 3) of the points' planes and where they are known (B, N)."""
-    label = batch["point_plane"].clamp(min=0)
-    centre = batch["plane_centre"].gather(1, label[..., None].expand(-1, -1, 3))
-    known = batch["plane_known"].gather(1, label) & (batch["point_plane"] >= 0)
-    return centre, known
-
-
 def _level_loss(levels: LevelPrediction, batch: Batch) -> Tensor:
-    """Both heights, at the camera's foot point, the floor's as tilted."""
-    ceiling = batch["plane_kind"] == CEILING
-    height = -batch["plane"][..., 3].where(ceiling, 0.0).sum(dim=1)
-    truth = torch.stack([batch["floor"][:, 0], height], dim=1)
-    known = torch.stack([torch.ones_like(height), ceiling.any(dim=1).float()], dim=1)
-    return losses.weighted_mean(
-        losses.laplace((levels.height - truth).abs(), levels.log_scale), known
-    )
+    truth, known = level_heights(batch)
+    error = (levels.height - truth).abs()
+    return losses.weighted_mean(losses.laplace(error, levels.log_scale), known.float())

@@ -39,6 +39,7 @@ def structure_batch(
         what `RoomPoints.tensors` names, and
         ``plane`` (B, P, 4), ``plane_kind`` (B, P), ``plane_centre`` (B, P, 3), ``plane_known``
         (B, P), see `PlaneTruth`;
+        ``level_plane`` (B, 2), see `PlaneTruth`;
         ``point_plane`` (B, N) index or -1, ``point_normal`` (B, N, 3), ``point_class`` (B, N);
         ``wall_plane``, ``wall_azimuth``, ``wall_distance``, ``wall_middle``,
         ``wall_middle_known`` (B, K), see `Slots`;
@@ -63,6 +64,7 @@ def structure_batch(
         "plane_kind": truth.kind.astype(np.int64),
         "plane_centre": truth.centre @ tilts,
         "plane_known": truth.known,
+        "level_plane": truth.level,
         "point_plane": label,
         "point_normal": normal @ turns.swapaxes(1, 2) @ tilts,
         "point_class": surface.astype(np.int64),

@@ -21,6 +21,7 @@ ON_PLANE_COS = 0.9
 KIND_OF_SURFACE = np.array([0, WALL, FLOOR, CEILING, WALL, WALL, 0, 0, 0, 0, 0, 0])
 STRIDE = 3
 MIN_SHOWN = 20
+FLAT = 0.99
 TRIM = 0.01
 FARTHEST_M = anchors.NEAREST_M + anchors.BINS * anchors.BIN_M - 0.5 * anchors.BIN_M
 
@@ -31,12 +32,15 @@ class PlaneTruth(NamedTuple):
     Attributes:
         planes: (V, P, 4) normal and offset in frames at the cameras; kind: (V, P).
         centre: (V, P, 3) middle of the plane; known: (V, P) bool, whether the rings show it.
+        level: (V, 2) number of the floor and of the flat ceiling that the rings show most of, -1
+            for none.
     """
 
     planes: FloatArray
     kind: NDArray[np.uint8]
     centre: FloatArray
     known: BoolArray
+    level: IntArray
 
 
 class Slots(NamedTuple):
@@ -67,13 +71,16 @@ def plane_truth(room: RoomSample) -> PlaneTruth:
     surface = _thinned(room.semantics[..., None])
     planes, kind = room.planes[0].astype(np.float64), room.plane_kind[0]
     label = plane_of(points.reshape(-1, 3), normals.reshape(-1, 3), surface.ravel(), planes, kind)
-    centre, known = _centres(points.reshape(-1, 3), label, planes, kind)
+    shown = np.bincount(label[label >= 0], minlength=len(planes))
+    level = _main_levels(planes, kind, shown)
+    centre = _centres(points.reshape(-1, 3), label, planes, kind, level)
     back = se3.transform(se3.inverse(poses), np.broadcast_to(centre, (len(poses), *centre.shape)))
     return PlaneTruth(
         room.planes,
         room.plane_kind,
         back.astype(np.float32),
-        np.broadcast_to(known, room.plane_kind.shape),
+        np.broadcast_to(shown >= MIN_SHOWN, room.plane_kind.shape),
+        np.broadcast_to(level, (len(poses), 2)),
     )
 
 
@@ -147,27 +154,33 @@ def _polar(truth: PlaneTruth, view: int) -> tuple[FloatArray, FloatArray, FloatA
     return azimuth, -plane[:, 3], middle
 
 
+def _main_levels(planes: Array, kind: NDArray[np.uint8], shown: IntArray) -> IntArray:
+    flat = np.abs(planes[:, 2]) > FLAT
+    out = []
+    for wanted in (FLOOR, CEILING):
+        mine = flat & (kind == wanted)
+        out.append(int(np.where(mine, shown, -1).argmax()) if mine.any() else -1)
+    return np.array(out, np.int64)
+
+
 def _centres(
-    points: Array, label: IntArray, planes: Array, kind: NDArray[np.uint8]
-) -> tuple[Array, BoolArray]:
-    centre, known = np.zeros((len(planes), 3)), np.zeros(len(planes), bool)
-    levels = planes[(kind == FLOOR) | (kind == CEILING)]
-    half_way = np.array([0.0, 0.0, np.mean(levels[:, 2] * levels[:, 3])])
+    points: Array, label: IntArray, planes: Array, kind: NDArray[np.uint8], level: IntArray
+) -> Array:
+    centre = np.zeros((len(planes), 3))
+    half_way = np.mean([planes[p, 2] * planes[p, 3] for p in level if p >= 0] or [0.0])
     walls = np.flatnonzero(kind == WALL)
     first = planes[walls[0], :3] if len(walls) else np.array([1.0, 0.0, 0.0])
     for p in np.flatnonzero(kind):
-        mine = points[label == p]
-        known[p] = len(mine) >= MIN_SHOWN
-        normal = planes[p, :3]
+        mine, normal = points[label == p], planes[p, :3]
         across = normal if kind[p] == WALL else first
         along = np.array([-across[1], across[0], 0.0])
-        middle = _middle(mine @ along) * along
+        centre[p] = _middle(mine @ along) * along
         if kind[p] == WALL:
-            centre[p] = middle + half_way
+            centre[p, 2] = half_way
         else:
-            centre[p] = middle + _middle(mine @ across) * across
+            centre[p] += _middle(mine @ across) * across
         centre[p] += (planes[p, 3] - normal @ centre[p]) * normal
-    return centre, known
+    return centre
 
 
 def _middle(values: Array) -> float:

@@ -52,7 +52,7 @@ def shipped_network() -> LayoutNetwork:
         FewviewError: they are missing or damaged.
     """
     state, card = weights.load(NAME)
-    network = LayoutNetwork(LayoutNetworkConfig(**card["config"]["settings"]["network"]))
+    network = LayoutNetwork(LayoutNetworkConfig(**card["config"]["settings"]["size"]))
     network.load_state_dict(state)
     return network.eval()
 

@@ -79,7 +79,7 @@ def shipped_network() -> StructureNetwork:
         FewviewError: they are missing or damaged.
     """
     state, card = weights.load(NAME)
-    network = StructureNetwork(StructureNetworkConfig(**card["config"]["settings"]["network"]))
+    network = StructureNetwork(StructureNetworkConfig(**card["config"]["settings"]["size"]))
     network.load_state_dict(state)
     return network.eval()
 
