@@ -13,6 +13,7 @@ from fewview.types import Array
 
 _KNEE_M = (1.1, 1.7)
 _SLOPE = (0.7, 1.4)
+_HEADROOM_M = 2.2
 
 
 def make_ceilings(rng: Rng, shape: Shape) -> tuple[Array, ...]:
@@ -23,7 +24,8 @@ def make_ceilings(rng: Rng, shape: Shape) -> tuple[Array, ...]:
     if len(shape.parts) == 1 and chance < 0.2:
         sides = [0] if rng.uniform() < 0.6 else [0, 2]
         slopes = [_slope(rng, shape.parts[0], side) for side in sides]
-        return (np.concatenate([flat, slopes]),)
+        roof = np.concatenate([flat, slopes])
+        return (roof if heights(roof, shape.parts[0].mean(axis=0)) > _HEADROOM_M else flat,)
     if len(shape.parts) > 1 and chance < 0.35:
         lower = flat - [0.0, 0.0, min(rng.uniform(0.15, 0.5), height - 2.15)]
         return (flat, *[lower] * (len(shape.parts) - 1))

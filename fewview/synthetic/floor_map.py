@@ -73,7 +73,10 @@ def floor_map(room: Room) -> FloorMap:
         owners[inside[number]] |= 1 << number
         for wall in plan.walls:
             owners[_draw_wall(cells, points, wall, ~within)] |= 1 << number
-    cells[within] = np.where(_occupied(room, points[within]), Ground.FURNITURE, Ground.FREE)
+    cells[within] = _standing(room, points[within])
+    for piece in room.standing:
+        if piece.name == "column":
+            cells[_inside(piece.footprint, points)] = Ground.WALL
     return FloorMap(cells.reshape(rows, columns), owners.reshape(rows, columns), low)
 
 
@@ -91,11 +94,21 @@ def _draw_wall(
     return np.asarray(near)
 
 
-def _occupied(room: Room, points: Array) -> BoolArray:
-    """Whether (n, 2) points have furniture above them: looked up at from just above the floor."""
+def _inside(polygon: Array, points: Array) -> BoolArray:
+    """Which of (n, 2) points lie in a convex polygon (m, 2)."""
+    edges = np.roll(polygon, -1, axis=0) - polygon
+    way = points[:, None] - polygon
+    return np.asarray((edges[:, 0] * way[..., 1] >= edges[:, 1] * way[..., 0]).all(axis=1))
+
+
+def _standing(room: Room, points: Array) -> NDArray[np.uint8]:
+    """The class at (n, 2) points in a room: looked up at from just above the floor."""
     beams = np.zeros((len(points), 6), np.float32)
     beams[:, :2], beams[:, 2], beams[:, 5] = points, _LOW_M, 1
     found = room.scene.cast_rays(o3d.core.Tensor(beams))
-    height = _LOW_M + found["t_hit"].numpy()
-    quad = np.where(np.isfinite(height), found["primitive_ids"].numpy(), 0) // 2
-    return np.asarray((height < _HIGH_M) & (room.surface[quad] >= Surface.TABLE))
+    met = found["t_hit"].numpy() < _HIGH_M - _LOW_M
+    surface = room.surface[np.where(met, found["primitive_ids"].numpy(), 0) // 2]
+    cells = np.full(len(points), Ground.FREE, np.uint8)
+    cells[met & (surface >= Surface.TABLE)] = Ground.FURNITURE
+    cells[met & (surface == Surface.DOOR)] = Ground.DOOR
+    return cells

@@ -10,7 +10,7 @@ from fewview.synthetic import textures
 from fewview.synthetic.classes import Surface
 from fewview.synthetic.furniture import Piece, column
 from fewview.synthetic.items import placement
-from fewview.synthetic.plan import OpeningKind, Plan, Wall, overlaps
+from fewview.synthetic.plan import OpeningKind, Plan, Wall, overlap_any
 from fewview.synthetic.surfaces import Patch, box_corners, labelled, moved, printed
 from fewview.synthetic.textures import Rng, muted
 from fewview.synthetic.themes import CORRIDOR, THEMES, Theme
@@ -43,23 +43,24 @@ class Furnishing:
 
     plan: Plan
     rng: Rng
+    doorways: Array
     standing: list[Standing] = field(default_factory=list)
     patches: list[Patch] = field(default_factory=list)
-    doorways: list[Array] = field(default_factory=list)
 
     def fits(self, piece: Piece, footprint: Array, gap: float) -> bool:
         """Whether a piece may stand there with ``gap`` metres to other pieces."""
-        edge = 0.5 * (footprint + np.roll(footprint, -1, axis=0))
-        if not self.plan.contains(np.concatenate([footprint, edge])).all():
-            return False
-        if self.plan.height_at(footprint).min() < piece.size[2] + 0.01:
-            return False
+        edge = 0.5 * (footprint + footprint[[1, 2, 3, 0]])
         middle = footprint.mean(axis=0)
         spread = footprint - middle
         wider = middle + spread * (1 + gap / np.abs(spread).max())
-        clear = not any(_contains(footprint, corner) for corner in self.plan.outline)
-        free = not any(overlaps(wider, other.footprint) for other in self.standing)
-        return clear and free and not any(overlaps(footprint, way) for way in self.doorways)
+        others = np.array([other.footprint for other in self.standing]).reshape(-1, 4, 2)
+        return not (
+            overlap_any(wider, others)
+            or overlap_any(footprint, self.doorways)
+            or not self.plan.contains(np.concatenate([footprint, edge])).all()
+            or _contains_any(footprint, self.plan.outline)
+            or self.plan.height_at(footprint).min() < piece.size[2] + 0.01
+        )
 
     def put(self, piece: Piece, world_T_piece: Array) -> None:
         """Stand a piece there."""
@@ -79,10 +80,10 @@ def footprint_of(piece: Piece, world_T_piece: Array) -> Array:
     return np.asarray(corners @ world_T_piece[:2, :2].T + world_T_piece[:2, 3])
 
 
-def _contains(polygon: Array, point: Array) -> bool:
+def _contains_any(polygon: Array, points: Array) -> bool:
     edges = np.roll(polygon, -1, axis=0) - polygon
-    to_point = point - polygon
-    return bool((edges[:, 0] * to_point[:, 1] - edges[:, 1] * to_point[:, 0] > 0).all())
+    way = points[:, None] - polygon
+    return bool((edges[:, 0] * way[..., 1] - edges[:, 1] * way[..., 0] > 0).all(axis=1).any())
 
 
 def _area(polygon: Array) -> float:
@@ -90,14 +91,14 @@ def _area(polygon: Array) -> float:
     return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
-def _doorways(plan: Plan) -> list[Array]:
+def _doorways(plan: Plan) -> Array:
     out = []
     for wall in plan.walls:
         for o in wall.openings:
             if o.kind is not OpeningKind.WINDOW:
                 way = np.array([[o.left, 0.0], [o.right, 0.0], [o.right, 0.9], [o.left, 0.9]])
                 out.append(wall.to_world(way))
-    return out
+    return np.array(out).reshape(-1, 4, 2)
 
 
 def furnish(plan: Plan, rng: Rng) -> Furnishing:
@@ -106,7 +107,7 @@ def furnish(plan: Plan, rng: Rng) -> Furnishing:
     Returns:
         The pieces that stand on the floor, pairwise disjoint, and their surfaces, rugs included.
     """
-    room = Furnishing(plan, rng, doorways=_doorways(plan))
+    room = Furnishing(plan, rng, _doorways(plan))
     theme = _theme(plan, rng)
     if _area(plan.outline) > 18 and rng.uniform() < 0.2:
         _pillar(room)

@@ -106,8 +106,9 @@ class Plan:
     def height(self) -> float:
         """Of the highest point of the ceiling."""
         return max(
-            float(ceilings.heights(planes, part).max())
+            float(corners[..., 2].max())
             for planes, part in zip(self.ceilings, self.parts, strict=True)
+            for _, corners in ceilings.faces(planes, part)
         )
 
     def contains(self, points: Array) -> BoolArray:
@@ -209,8 +210,8 @@ def _adjoined(rng: Rng, plan: Plan) -> Plan:
             if door.kind is OpeningKind.DOOR and rng.uniform() < 0.8:
                 passage = replace(door, kind=OpeningKind.PASSAGE, deep=rng.uniform(0.09, 0.15))
                 behind = _neighbour(rng, wall, passage)
-                taken = [*plan.parts, *(n.outline for n in neighbours)]
-                if not any(overlaps(part, behind.outline) for part in taken):
+                taken = np.array([*plan.parts, *(n.outline for n in neighbours)])
+                if not overlap_any(behind.outline, taken):
                     openings = tuple(passage if o is door else o for o in wall.openings)
                     walls[number] = Wall(wall.start, wall.end, openings)
                     neighbours.append(behind)
@@ -237,11 +238,24 @@ def _neighbour(rng: Rng, wall: Wall, passage: Opening) -> Plan:
 
 
 def overlaps(a: Array, b: Array) -> bool:
-    """Whether two convex polygons (n, 2) overlap (separating axes)."""
-    for polygon in (a, b):
-        edges = np.roll(polygon, -1, axis=0) - polygon
-        for normal in edges[:, ::-1] * [1, -1]:
-            low, high = a @ normal, b @ normal
-            if low.max() <= high.min() or high.max() <= low.min():
-                return False
-    return True
+    """Whether two convex polygons (n, 2) overlap."""
+    return bool(overlap_any(a, b[None]))
+
+
+def overlap_any(polygon: Array, others: Array) -> bool:
+    """Whether a convex polygon (n, 2) overlaps one of (k, m, 2) others (separating axes)."""
+    own, theirs = _normals(polygon), _normals(others)
+    apart = _apart(polygon @ own.T, others @ own.T)
+    across = theirs.swapaxes(-1, -2)
+    return bool((~apart & ~_apart(polygon @ across, others @ across)).any())
+
+
+def _normals(polygons: Array) -> Array:
+    edges = np.roll(polygons, -1, axis=-2) - polygons
+    return np.stack([edges[..., 1], -edges[..., 0]], axis=-1)
+
+
+def _apart(a: Array, b: Array) -> BoolArray:
+    """Whether along some axis the points (..., n, axes) of a and of b do not meet."""
+    gap = (a.max(-2) <= b.min(-2)) | (b.max(-2) <= a.min(-2))
+    return np.asarray(gap.any(axis=-1))

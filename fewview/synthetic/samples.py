@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fewview.geometry import se3
 from fewview.synthetic import handheld, ring
-from fewview.synthetic.classes import Ground
+from fewview.synthetic.classes import Ground, Surface
 from fewview.synthetic.floor_map import FloorMap, floor_map
 from fewview.synthetic.handheld import Camera
 from fewview.synthetic.plan import Plan
@@ -86,7 +86,9 @@ def room_sample(seed: int, views: int = 4, size: int = 64) -> RoomSample:
     depth = np.where(np.isfinite(hits.depth), hits.depth, 0).astype(np.float32).reshape(shape)
     normal = hits.normals.reshape(views, -1, 3) @ level_T_world[:, :3, :3].swapaxes(1, 2)
     known = (depth > 0)[..., None]
-    observed, measured = _measured(cameras, depth, hits.cosine.reshape(shape), rng)
+    semantics = np.where(depth > 0, room.surface[quads], np.uint8(Surface.UNKNOWN))
+    glass = semantics == Surface.WINDOW
+    observed, measured = _measured(cameras, depth, hits.cosine.reshape(shape), glass, rng)
     colour = lit(room, hits, 0.5 * size).reshape(*shape, 3)
     planes, kinds = _planes(room, level_T_world, own, quads)
     return RoomSample(
@@ -95,7 +97,7 @@ def room_sample(seed: int, views: int = 4, size: int = 64) -> RoomSample:
         colour=_photographs(colour, rng),
         depth=depth,
         normal=np.where(known, normal.reshape(*shape, 3), 0).astype(np.float32),
-        semantics=np.where(depth > 0, room.surface[quads], np.uint8(0)),
+        semantics=semantics,
         observed=observed,
         measured=measured,
         layout=np.stack([_layout(above, *v) for v in zip(level_T_world, own, depth, strict=True)]),
@@ -119,14 +121,14 @@ def _rings(room: Room, level_T_world: Array, size: int) -> Hits:
 
 
 def _measured(
-    cameras: list[Camera], depth: FloatArray, cosine: FloatArray, rng: Rng
+    cameras: list[Camera], depth: FloatArray, cosine: FloatArray, glass: BoolArray, rng: Rng
 ) -> tuple[BoolArray, FloatArray]:
     observed, measured = np.zeros(depth.shape, bool), np.zeros_like(depth)
     for i, camera in enumerate(cameras):
         inside, slope = ring.seen_by(camera.scan_R_level, camera.half_angles, depth.shape[1])
         along = depth[i] * slope
         observed[i] = inside & (along > camera.range_m[0]) & (along < camera.range_m[1])
-        sensed = measure_ring(along, observed[i], cosine[i], rng)
+        sensed = measure_ring(along, observed[i], cosine[i], glass[i], rng)
         measured[i] = np.where(sensed > 0, sensed / np.where(inside, slope, 1), 0)
     return observed, measured
 

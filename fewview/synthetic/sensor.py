@@ -67,19 +67,31 @@ def measure(view: View, rng: Rng) -> FloatArray:
 
 
 def measure_ring(
-    depth: FloatArray, observed: BoolArray, cosine: FloatArray, rng: Rng
+    depth: FloatArray, observed: BoolArray, cosine: FloatArray, glass: BoolArray, rng: Rng
 ) -> FloatArray:
-    """Depth (S, 4 S) along the camera's axis as a sensor gives it, on the pixels of a ring.
+    """What sensors of various make give on the pixels of a ring.
 
-    A ring's pixel stands for one of the sensor's, so the noise is the sensor's own.
+    A ring's pixel stands for one of the sensor's, so the noise is that of a single one.
+
+    Args:
+        depth: (S, 4 S) metres along the camera's axis.
+        observed: (S, 4 S) where the camera looks and reaches.
+        cosine: (S, 4 S) of the angle between ray and surface normal.
+        glass: (S, 4 S) window panes; half of the cameras see nothing there.
+        rng: source of noise.
+
+    Returns:
+        (S, 4 S) metres along the camera's axis, 0 where it is lost.
     """
+    noise_px, seen_through = _NOISE_PX * rng.uniform(0.3, 2.0), rng.uniform() < 0.5
     disparity = _FOCAL_BASELINE / np.where(observed, depth, 1.0).astype(np.float32)
-    disparity += np.float32(_NOISE_PX) * rng.standard_normal(depth.shape, dtype=np.float32)
+    disparity += np.float32(noise_px) * rng.standard_normal(depth.shape, dtype=np.float32)
     disparity = np.maximum(np.round(disparity / _STEP_PX) * _STEP_PX, _STEP_PX)
     chance = rng.random(depth.shape, dtype=np.float32)
     edges = depth_edges(depth, 0.15)
-    blotches = fractal(rng, (depth.shape[0], depth.shape[1]), depth.shape[1] / 16, 3) > 3.0
-    lost = (cosine < 0.1 + 0.2 * chance) | (edges & (chance < 0.5)) | blotches | (chance > 0.99)
+    blotches = fractal(rng, (depth.shape[0], depth.shape[1]), depth.shape[1] / 16, 3)
+    lost = (cosine < 0.1 + 0.2 * chance) | (edges & (chance < 0.5)) | (chance > 0.99)
+    lost |= (blotches > rng.uniform(2.0, 4.0)) | (glass & seen_through & (chance > 0.1))
     return np.where(observed & ~lost, _FOCAL_BASELINE / disparity, 0.0).astype(np.float32)
 
 
