@@ -26,9 +26,10 @@ from fewview.completion.panorama import (
     ring_pixels,
     ring_points,
 )
-from fewview.completion.panorama.network import manhattan_axes
+from fewview.completion.panorama.walls import scan_ring, wall_azimuth
 from fewview.errors import FewviewError
 from fewview.geometry import se3
+from fewview.training.panorama import along_walls
 from fewview.types import Intrinsics
 
 SIZE = 64
@@ -115,12 +116,45 @@ def test_normals_of_a_ring_are_those_of_the_room() -> None:
     assert not partly.transpose(0, 2, 3, 1)[room.measured == 0].any()
 
 
-def test_walls_tell_the_six_directions() -> None:
-    room = box_room(4, views=3, size=SIZE)
-    axes, share = manhattan_axes(torch.from_numpy(room.normal).permute(0, 3, 1, 2))
-    assert (share > 0.99).all()
-    for ring, directions in zip(room.normal, axes.numpy(), strict=True):
-        assert (ring.reshape(-1, 3) @ directions.T).max(axis=1).min() > 0.999
+def test_a_ring_along_the_walls_has_axes_for_normals() -> None:
+    room = along_walls(box_room(4, views=3, size=SIZE))
+    upright = np.abs(room.normal[..., 2]) < 0.5
+    facing = np.abs(room.normal[upright]).max(axis=-1)
+    known = facing > 0
+    assert known.mean() > 0.8
+    assert np.mean(facing[known] > 0.999) > 0.99
+    for depth, pose in zip(room.depth, room.level_T_world, strict=True):
+        world = se3.transform(se3.inverse(pose), ring_points(depth)[depth > 0].astype(float))
+        floor = np.abs(world[:, 2]) < 0.05
+        assert 0.1 < floor.mean() < 0.5
+        assert world[:, 2].min() > -0.1
+
+
+@pytest.mark.parametrize("azimuth", [-40.0, -3.0, 0.0, 25.0])
+def test_the_azimuth_of_walls_is_found_among_clutter(azimuth: float) -> None:
+    rng = np.random.default_rng(0)
+    angles = np.radians(azimuth + 90.0 * rng.integers(4, size=300) + 2.0 * rng.standard_normal(300))
+    clutter = rng.uniform(-np.pi, np.pi, 150)
+    both = np.concatenate([angles, clutter])
+    normals = np.stack([np.cos(both), np.sin(both), 0 * both], axis=-1).astype(np.float32)
+    assert np.degrees(wall_azimuth(normals)) == pytest.approx(azimuth, abs=1.0)
+    assert wall_azimuth(normals[:10]) == 0.0
+    assert wall_azimuth(np.zeros((50, 3), np.float32)) == 0.0
+
+
+def test_a_scan_of_a_slanted_wall_gets_a_ring_along_it() -> None:
+    camera = Intrinsics(160, 120, 145.0, 145.0, 79.5, 59.5)
+    columns = (np.arange(160) - 79.5) / 145.0
+    slope = np.tan(np.radians(20.0))
+    depth = np.tile((2.0 / (1.0 - slope * columns)).astype(np.float32), (120, 1))
+    colour = np.full((120, 160, 3), 90, np.uint8)
+    ring = scan_ring(depth, colour, camera, np.array([0.0, -1.0, 0.0]), SIZE)
+    ahead = ring.depth[:, SIZE : 2 * SIZE]
+    seen = ahead[ahead > 0]
+    assert len(seen) > 500
+    np.testing.assert_allclose(
+        np.percentile(seen, [1, 99]), 2.0 * np.cos(np.radians(20)), rtol=0.01
+    )
 
 
 def test_shapes_and_units(network: PanoramaNetwork) -> None:

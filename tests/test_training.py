@@ -226,7 +226,7 @@ def test_the_true_places_as_descriptors_are_always_found() -> None:
     lifted = torch.cat([places, places.square().sum(dim=1, keepdim=True), places[:, :1] * 0 + 1], 1)
     found = contrastive.recall(lifted_for_distance(lifted), batch)
     for kind in contrastive.KINDS:
-        assert found[f"recall_1_{kind}"] > 0.8
+        assert found[f"recall_1_{kind}"] > 0.7
         assert found[f"chance_1_{kind}"] < 0.05
     blind = contrastive.recall(torch.ones_like(lifted), batch)
     assert blind["recall_1_predicted_predicted"] < 0.2

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from fewview.completion.panorama import walls
 from fewview.completion.panorama.network import (
     CLASSES,
     COARSE,
@@ -22,6 +24,7 @@ from fewview.completion.panorama.ring import unit
 from fewview.geometry import se3
 from fewview.training import contrastive, losses
 from fewview.training.problem import Batch
+from fewview.types import BoolArray, IntArray
 
 if TYPE_CHECKING:
     from fewview.synthetic.samples import RoomSample
@@ -44,13 +47,13 @@ class PanoramaProblem:
     """Of the normals' cosine and absolute error."""
     semantics: float = 0.3
     """Of the cross-entropy."""
-    descriptor: float = 0.2
+    descriptor: float = 0.3
     """Of the contrastive loss."""
     measured: float = 0.3
     """What a measured pixel counts against one that has to be guessed."""
     colourless: float = 0.15
     """Share of the training rings without colour, so that geometry alone is believed as well."""
-    pairs: int = 192
+    pairs: int = 320
     """Places for the contrastive loss in each pair of views."""
     class_weights: tuple[float, ...] = (0.0, 0.4, 0.8, 0.6, 1.0, 1.1, 2.0, 2.5, 2.0, 3.0, 1.0, 1.0)
     """Of unknown, wall, floor, ceiling, door, window, table, chair, sofa, bed, cabinet, other."""
@@ -61,7 +64,9 @@ class PanoramaProblem:
         return PanoramaNetwork(self.size)
 
     def batch(self, rooms: Sequence[RoomSample], rng: np.random.Generator) -> Batch:
-        """Views of all rooms one after the other, see `RoomSample`, and places they share."""
+        """Views of all rooms one after the other, along the walls that each shows, with the names
+        of `RoomSample`, and the places they share."""
+        rooms = [along_walls(room) for room in rooms]
         rings = {name: np.concatenate([getattr(r, name) for r in rooms]) for name in STACKED}
         poses = se3.inverse(np.concatenate([room.level_T_world for room in rooms]))
         return {
@@ -105,10 +110,32 @@ class PanoramaProblem:
             figures = _geometry_figures(answer, batch, pixels)
             figures["semantics_iou"] = _mean_iou(answer.semantics, batch["semantics"], pixels)
             out |= {f"{name}_{part}": value for name, value in figures.items()}
-        median = batch["depth"].median(dim=0).values.expand_as(batch["depth"])
+        median = torch.where(known, batch["depth"], torch.nan).nanmedian(dim=0).values
         error = (median - batch["depth"]).abs() / batch["depth"]
         out["median_depth_relative_unobserved"] = float(error[parts["unobserved"]].mean())
         return out | contrastive.recall(unit(answer.descriptor), batch)
+
+
+def along_walls(room: RoomSample) -> RoomSample:
+    """The views of a room as rings along the walls that they show; unknown where not covered."""
+    size = room.depth.shape[1]
+    views = []
+    for view in range(len(room.depth)):
+        azimuth = walls.wall_azimuth(walls.seen_normals(room.measured[view]))
+        pixels, scale, inside = walls.turned_pixels(size, azimuth)
+        ring = {n: _gathered(getattr(room, n)[view], pixels, inside) for n in STACKED}
+        back = walls.about_vertical(-azimuth)
+        ring["depth"], ring["measured"] = ring["depth"] * scale, ring["measured"] * scale
+        ring["normal"] = ring["normal"] @ back[:3, :3].T.astype(np.float32)
+        views.append({**ring, "level_T_world": back @ room.level_T_world[view]})
+    stacked = {name: np.stack([view[name] for view in views]) for name in views[0]}
+    return cast("RoomSample", SimpleNamespace(**{**vars(room), **stacked}))
+
+
+def _gathered(ring: np.ndarray, pixels: IntArray, inside: BoolArray) -> np.ndarray:
+    values = ring.reshape(-1, *ring.shape[2:])[pixels]
+    values[~inside] = 0
+    return values
 
 
 def _contrast(descriptor: Tensor, batch: Batch) -> Tensor:

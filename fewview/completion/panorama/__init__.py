@@ -17,6 +17,7 @@ from fewview.completion.panorama.ring import (
     ring_points,
     ring_rays,
 )
+from fewview.completion.panorama.walls import scan_ring
 
 __all__ = [
     "CLASSES",
@@ -33,5 +34,6 @@ __all__ = [
     "ring_pixels",
     "ring_points",
     "ring_rays",
+    "scan_ring",
     "shipped_network",
 ]

@@ -20,7 +20,7 @@ from fewview.completion.panorama.network import (
     ring_tensors,
 )
 from fewview.completion.panorama.ring import RingScan, unit
-from fewview.types import BoolArray, FloatArray
+from fewview.types import Array, BoolArray, FloatArray
 
 NAME = "panorama"
 CONFIDENT_ERROR = 0.1
@@ -32,11 +32,12 @@ class CompletedPanorama:
 
     Attributes:
         depth: (S, 4 S) float32, planar, metres, positive everywhere.
-        normals: (S, 4 S, 3) float32 unit, level frame, towards the camera.
+        normals: (S, 4 S, 3) float32 unit, in the ring's level frame, towards the camera.
         semantics: (S, 4 S, 12) float32 probabilities of `network.CLASSES`.
         descriptors: (S, 4 S, D) float32 unit.
         confidence: (S, 4 S) float32, probability that the depth is right within ten per cent.
         observed: (S, 4 S) where the depth was measured.
+        level_T_scan: (4, 4) into the ring's level frame.
     """
 
     depth: FloatArray
@@ -45,13 +46,14 @@ class CompletedPanorama:
     descriptors: FloatArray
     confidence: FloatArray
     observed: BoolArray
+    level_T_scan: Array
 
 
 def complete_ring(ring: RingScan, network: PanoramaNetwork | None = None) -> CompletedPanorama:
     """Predict what a scan does not show.
 
     Args:
-        ring: the scan on the ring.
+        ring: the scan on the ring along its walls; see `scan_ring`.
         network: the shipped one when not given.
 
     Raises:
@@ -91,6 +93,7 @@ def _kept(ring: RingScan, seen_normals: Tensor, answer: RingPrediction) -> Compl
         descriptors=_image(unit(_finer(unit(answer.descriptor)))[0]),
         confidence=np.where(observed, np.float32(1), 1.0 - np.exp(-CONFIDENT_ERROR / scale)),
         observed=observed,
+        level_T_scan=ring.level_T_scan,
     )
 
 

@@ -2,7 +2,8 @@
 
 Four by four pixels become channels first, so that the costly layers work at a quarter of the
 resolution. Convolutions wrap around horizontally: turning the ring by a whole face turns the
-answer. Group normalisation keeps a scan's answer independent of the others in its batch.
+answer, but for its normals. Group normalisation keeps a scan's answer independent of the others in
+its batch.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ GEOMETRY = (1, 1, 3, 1)
 GROUPS = 8
 TYPICAL_LOG_DEPTH = 0.7
 LOG_SCALE_RANGE = (-5.0, 2.0)
-SNAP = 10.0
+SNAP = 4
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,7 @@ class PanoramaNetwork(nn.Module):
         return RingPrediction(
             depth[:, 0] + TYPICAL_LOG_DEPTH,
             (scale[:, 0] - 1.0).clamp(*LOG_SCALE_RANGE),
-            _snapped(normal, gate, inputs[:, NORMALS].float()),
+            _snapped(normal, gate),
             semantics,
             descriptor,
         )
@@ -174,44 +175,16 @@ class ResidualBlock(nn.Module):
         return out
 
 
-def manhattan_axes(normals: Tensor) -> tuple[Tensor, Tensor]:
-    """The room's six directions as far as the visible walls tell them.
-
-    The circular mean of the wall normals' azimuths modulo 90 degrees, taken once over all and
-    once over those within 15 degrees of the first.
-
-    Args:
-        normals: (B, 3, S, 4 S) seen ones, 0 unknown.
-
-    Returns:
-        axes (B, 6, 3), and the share (B,) 0..1 of the walls seen that agree.
-    """
-    x, y, z = normals.flatten(2).unbind(dim=1)
-    walls = ((x * x + y * y > 0.5) & (z.abs() < 0.25)).to(x.dtype)
-    turns = torch.polar(walls, 4.0 * torch.atan2(y, x))
-    first = turns.sum(dim=1, keepdim=True)
-    near = (turns * first.conj()).real > 0.5 * first.abs()
-    second = (turns * near).sum(dim=1)
-    share = second.abs() / walls.sum(dim=1).clamp_min(30.0)
-    phase = (second.angle() / 4.0)[:, None] + torch.arange(4, device=x.device) * (np.pi / 2)
-    level = torch.stack([phase.cos(), phase.sin(), torch.zeros_like(phase)], dim=-1)
-    vertical = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], device=x.device, dtype=x.dtype)
-    return torch.cat([level, vertical.expand(len(x), 2, 3)], dim=1), share.clamp(0.0, 1.0)
-
-
 def ring_tensors(colour: NDArray[np.uint8], depth: FloatArray) -> Tensor:
     """`network_input` of one ring given as arrays (S, 4 S, 3) and (S, 4 S)."""
     return network_input(torch.from_numpy(colour)[None], torch.from_numpy(depth)[None])
 
 
-def _snapped(free: Tensor, gate: Tensor, seen: Tensor) -> Tensor:
-    """Unit normals between what the network drew freely and the nearest Manhattan direction."""
+def _snapped(free: Tensor, gate: Tensor) -> Tensor:
+    """Unit normals between what the network drew freely and the nearest axis of the ring."""
     free = unit(free)
-    axes, share = manhattan_axes(seen)
-    weights = (SNAP * torch.einsum("bchw,bac->bahw", free, axes)).softmax(dim=1)
-    nearest = torch.einsum("bahw,bac->bchw", weights, axes)
-    blend = gate.sigmoid() * share[:, None, None, None]
-    return unit(free + blend * (nearest - free))
+    steep = free.sign() * free.abs().pow(SNAP)
+    return unit(free + gate.sigmoid() * (unit(steep) - free))
 
 
 def _doubled(x: Tensor) -> Tensor:
