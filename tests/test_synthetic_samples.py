@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from fewview.errors import FewviewError
 from fewview.geometry import se3
 from fewview.synthetic import ceilings, handheld, ring, shell
-from fewview.synthetic.camera import look
 from fewview.synthetic.classes import Ground, PlaneKind, Surface
 from fewview.synthetic.floor_map import floor_map
+from fewview.synthetic.handheld import look
 from fewview.synthetic.plan import OpeningKind, make_plan, overlap_any, overlaps
 from fewview.synthetic.render import trace
 from fewview.synthetic.room import Room, make_room
@@ -217,7 +217,9 @@ def test_measured_depth_is_near_the_truth_where_observed(seed: int) -> None:
 
 def test_cameras_are_held_as_people_do() -> None:
     room = room_of(4)
-    cameras = handheld.cameras(room.plan, floor_map(room), 200, np.random.default_rng(0))
+    cameras = handheld.cameras(
+        room.plan, floor_map(room, room.caster), 200, np.random.default_rng(0)
+    )
     eyes = np.array([se3.inverse(c.level_T_world)[:3, 3] for c in cameras])
     assert (eyes[:, 2] >= 1.0).all() and (eyes[:, 2] <= 1.8).all() and np.ptp(eyes[:, 2]) > 0.7
     inside = np.logical_or.reduce([r.contains(eyes[:, :2]) for r in room.plan.rooms])
@@ -236,7 +238,7 @@ def test_cameras_are_held_as_people_do() -> None:
 
 def test_a_room_without_floor_is_refused() -> None:
     room = room_of(4)
-    above = floor_map(room)
+    above = floor_map(room, room.caster)
     above.cells[:] = Ground.FURNITURE
     with pytest.raises(FewviewError, match="no place to stand"):
         handheld.cameras(room.plan, above, 1, np.random.default_rng(0))

@@ -11,9 +11,11 @@ import open3d as o3d
 from fewview.errors import FewviewError
 from fewview.geometry import se3
 from fewview.geometry.camera import project
-from fewview.synthetic.render import Hits, trace
+from fewview.synthetic.handheld import look
+from fewview.synthetic.hits import Hits
+from fewview.synthetic.kinect import RANGE_M
+from fewview.synthetic.render import trace
 from fewview.synthetic.room import Room
-from fewview.synthetic.sensor import RANGE_M
 from fewview.synthetic.textures import Rng
 from fewview.types import Array, BoolArray, Intrinsics
 
@@ -54,14 +56,6 @@ def kinect(width: int = 640, height: int = 480, focal: float = 555.0) -> Intrins
     return Intrinsics(
         width, height, focal * scale, focal * scale, 0.5 * (width - 1), 0.5 * (height - 1)
     )
-
-
-def look(position: Array, yaw: float, pitch: float, roll: float) -> Array:
-    """(4, 4) world_T_camera; pitch is positive upwards, roll is about the optical axis, radians."""
-    ahead = np.array([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)])
-    right = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
-    level = np.stack([right, np.cross(ahead, right), ahead], axis=-1)
-    return se3.pose(level @ se3.rotation_exp(np.array([0.0, 0.0, roll])), position)
 
 
 def free_places(room: Room, points: Array) -> BoolArray:

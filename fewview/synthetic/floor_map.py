@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 
 from fewview.synthetic.classes import Ground, Surface
 from fewview.synthetic.plan import OpeningKind, Wall
+from fewview.synthetic.rays import Caster
 from fewview.synthetic.room import Room
 from fewview.types import Array, BoolArray
 
@@ -59,7 +59,7 @@ def _eroded(mask: BoolArray, reach: int, axis: int) -> BoolArray:
     return np.asarray(count == 2 * reach + 1)
 
 
-def floor_map(room: Room) -> FloorMap:
+def floor_map(room: Room, caster: Caster) -> FloorMap:
     """Map all rooms of a plan."""
     corners = np.concatenate([plan.outline for plan in room.plan.rooms])
     low, high = corners.min(axis=0) - _MARGIN_M, corners.max(axis=0) + _MARGIN_M
@@ -73,7 +73,7 @@ def floor_map(room: Room) -> FloorMap:
         owners[inside[number]] |= 1 << number
         for wall in plan.walls:
             owners[_draw_wall(cells, points, wall, ~within)] |= 1 << number
-    cells[within] = _standing(room, points[within])
+    cells[within] = _standing(room, caster, points[within])
     for piece in room.standing:
         if piece.name == "column":
             cells[_inside(piece.footprint, points)] = Ground.WALL
@@ -101,13 +101,13 @@ def _inside(polygon: Array, points: Array) -> BoolArray:
     return np.asarray((edges[:, 0] * way[..., 1] >= edges[:, 1] * way[..., 0]).all(axis=1))
 
 
-def _standing(room: Room, points: Array) -> NDArray[np.uint8]:
+def _standing(room: Room, caster: Caster, points: Array) -> NDArray[np.uint8]:
     """The class at (n, 2) points in a room: looked up at from just above the floor."""
     beams = np.zeros((len(points), 6), np.float32)
     beams[:, :2], beams[:, 2], beams[:, 5] = points, _LOW_M, 1
-    found = room.scene.cast_rays(o3d.core.Tensor(beams))
-    met = found["t_hit"].numpy() < _HIGH_M - _LOW_M
-    surface = room.surface[np.where(met, found["primitive_ids"].numpy(), 0) // 2]
+    found = caster.cast(beams)
+    met = found.depth < _HIGH_M - _LOW_M
+    surface = room.surface[found.triangle // 2]
     cells = np.full(len(points), Ground.FREE, np.uint8)
     cells[met & (surface >= Surface.TABLE)] = Ground.FURNITURE
     cells[met & (surface == Surface.DOOR)] = Ground.DOOR

@@ -8,7 +8,6 @@ import numpy as np
 
 from fewview.errors import FewviewError
 from fewview.geometry import se3
-from fewview.synthetic.camera import look
 from fewview.synthetic.classes import Ground
 from fewview.synthetic.floor_map import CELL_M, FloorMap
 from fewview.synthetic.items import placement
@@ -37,6 +36,14 @@ class Camera:
     scan_R_level: Array
     half_angles: tuple[float, float]
     range_m: tuple[float, float]
+
+
+def look(position: Array, yaw: float, pitch: float, roll: float) -> Array:
+    """(4, 4) world_T_camera; pitch is positive upwards, roll is about the optical axis, radians."""
+    ahead = np.array([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)])
+    right = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
+    level = np.stack([right, np.cross(ahead, right), ahead], axis=-1)
+    return se3.pose(level @ se3.rotation_exp(np.array([0.0, 0.0, roll])), position)
 
 
 def cameras(plan: Plan, above: FloorMap, count: int, rng: Rng) -> list[Camera]:

@@ -11,6 +11,7 @@ from functools import cache
 
 import numpy as np
 
+from fewview.geometry import se3
 from fewview.types import Array, BoolArray, FloatArray
 
 AZIMUTHS = (0.5 * np.pi, 0.0, -0.5 * np.pi, np.pi)
@@ -30,6 +31,16 @@ def rays(size: int) -> FloatArray:
     out = np.concatenate(faces, axis=1).astype(np.float32)
     out.setflags(write=False)
     return out
+
+
+def beams(level_T_world: Array, size: int) -> FloatArray:
+    """(V size 4 size, 6) origins and directions in the world of the rings of V cameras."""
+    world_T_level = se3.inverse(level_T_world).astype(np.float32)
+    out = np.empty((len(level_T_world), 4 * size * size, 6), np.float32)
+    out[..., :3] = world_T_level[:, None, :3, 3]
+    turned = world_T_level[:, :3, :3].swapaxes(1, 2)
+    np.matmul(rays(size).reshape(1, -1, 3), turned, out=out[..., 3:])
+    return out.reshape(-1, 6)
 
 
 def points(depth: FloatArray) -> FloatArray:

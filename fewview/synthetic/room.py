@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 
 from fewview.synthetic.atlas import Atlas, pack
@@ -15,13 +15,16 @@ from fewview.synthetic.decoration import decorate
 from fewview.synthetic.furnish import Standing, furnish
 from fewview.synthetic.items import Patches
 from fewview.synthetic.plan import Plan, make_plan
+from fewview.synthetic.rays import TRIANGLES, Embree
 from fewview.synthetic.shell import Structure, shell
 from fewview.synthetic.surfaces import labelled, lathed
 from fewview.synthetic.textures import Image, Rng, Texture, plain
 from fewview.types import Array, ColouredMesh, FloatArray, IntArray
 
+if TYPE_CHECKING:
+    import open3d as o3d
+
 _COARSER = 4.0
-_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +35,7 @@ class Room:
         plan: the shell.
         standing: the furniture on the floor.
         lamps: (k, 3) lights under the ceiling.
+        ambient: light that comes from everywhere.
         corners: (n, 4, 3) of all quadrilaterals, metres.
         uv: (n, 4, 2) float32 texture pixels at the corners.
         texture: (n,) index of each quadrilateral's texture.
@@ -45,6 +49,7 @@ class Room:
     plan: Plan
     standing: tuple[Standing, ...]
     lamps: Array
+    ambient: float
     corners: Array
     uv: FloatArray
     texture: IntArray
@@ -65,13 +70,22 @@ class Room:
         return pack(self.textures, _COARSER)
 
     @cached_property
+    def normals(self) -> FloatArray:
+        """(2 n, 3) float32 unit normals of the triangles, from their front."""
+        corners = self.corners[:, TRIANGLES].reshape(-1, 3, 3)
+        out = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(out, axis=-1, keepdims=True)
+        return np.asarray(out / np.maximum(length, 1e-12), np.float32)
+
+    @cached_property
+    def caster(self) -> Embree:
+        """Follows rays among the quadrilaterals."""
+        return Embree(self.corners)
+
+    @property
     def scene(self) -> o3d.t.geometry.RaycastingScene:
         """Two triangles per quadrilateral, number 2 q and 2 q + 1, single-threaded."""
-        scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-        faces = (4 * np.arange(len(self.corners))[:, None, None] + _TRIANGLES).reshape(-1, 3)
-        vertices = self.corners.reshape(-1, 3).astype(np.float32)
-        scene.add_triangles(o3d.core.Tensor(vertices), o3d.core.Tensor(faces.astype(np.uint32)))
-        return scene
+        return self.caster.scene
 
     def mesh(self, spacing_m: float = 0.05) -> ColouredMesh:
         """The surfaces as a mesh with a vertex at least every ``spacing_m``, for ground truth."""
@@ -104,7 +118,7 @@ def _grid(rows: int, columns: int) -> tuple[Array, IntArray]:
     weights = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=-1)
     number = np.arange((rows + 1) * (columns + 1)).reshape(rows + 1, columns + 1)
     cell = np.stack([number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], axis=-1)
-    return weights.reshape(-1, 4), cell.reshape(-1, 4)[:, _TRIANGLES].reshape(-1, 3)
+    return weights.reshape(-1, 4), cell.reshape(-1, 4)[:, TRIANGLES].reshape(-1, 3)
 
 
 def make_room(seed: int) -> Room:
@@ -116,7 +130,9 @@ def make_room(seed: int) -> Room:
     things = [p for f in furnished for p in (*f.patches, *decorate(f))]
     standing = tuple(piece for f in furnished for piece in f.standing)
     lamps, fixtures = _lights(outline, rng)
-    return _assembled(outline, structure, standing, lamps, (*walls, *things, *fixtures))
+    ambient = rng.uniform(0.4, 0.75)
+    surfaces = (*walls, *things, *fixtures)
+    return _assembled(outline, structure, standing, lamps, ambient, surfaces)
 
 
 def _lights(outline: Plan, rng: Rng) -> tuple[Array, Patches]:
@@ -139,6 +155,7 @@ def _assembled(
     structure: Structure,
     standing: tuple[Standing, ...],
     lamps: Array,
+    ambient: float,
     all_: Patches,
 ) -> Room:
     textures = list({id(p.texture): p.texture for p in all_}.values())
@@ -150,6 +167,7 @@ def _assembled(
         plan=outline,
         standing=standing,
         lamps=lamps,
+        ambient=ambient,
         corners=corners,
         uv=uv.astype(np.float32),
         texture=np.repeat([number[id(p.texture)] for p in all_], counts),

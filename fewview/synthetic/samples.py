@@ -3,10 +3,10 @@ scan would have measured of them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 
 from fewview.geometry import se3
@@ -14,10 +14,12 @@ from fewview.synthetic import handheld, ring
 from fewview.synthetic.classes import Ground, Surface
 from fewview.synthetic.floor_map import FloorMap, floor_map
 from fewview.synthetic.handheld import Camera
+from fewview.synthetic.hits import Hits, hits
+from fewview.synthetic.lighting import arriving, exposed, seen_from
 from fewview.synthetic.plan import Plan
-from fewview.synthetic.render import Hits, hits_of, lit
+from fewview.synthetic.rays import Caster, Embree
+from fewview.synthetic.ring_sensor import measure_ring, photograph_ring
 from fewview.synthetic.room import Room, make_room
-from fewview.synthetic.sensor import measure_ring
 from fewview.synthetic.textures import Rng
 from fewview.types import Array, BoolArray, FloatArray, IntArray
 
@@ -63,40 +65,43 @@ class RoomSample:
     plane_kind: Bytes
 
 
-def room_sample(seed: int, views: int = 4, size: int = 64) -> RoomSample:
+def room_sample(
+    seed: int, views: int = 4, size: int = 64, caster: Callable[[Array], Caster] = Embree
+) -> RoomSample:
     """The room of a seed from several places.
 
     Args:
         seed: of the room; see `fewview.synthetic.split_seed`.
         views: number of cameras.
         size: of a ring's face, pixels.
+        caster: what follows rays among quadrilaterals (n, 4, 3).
 
     Raises:
         FewviewError: the room has no place to stand.
     """
     room = make_room(seed)
+    rays = caster(room.corners)
     rng = np.random.default_rng([seed, 1])
-    above = floor_map(room)
+    above = floor_map(room, rays)
     cameras = handheld.cameras(room.plan, above, views, rng)
     shape = (views, size, 4 * size)
     level_T_world = np.stack([camera.level_T_world for camera in cameras])
     own = _rooms(room.plan, level_T_world)
-    hits = _rings(room, level_T_world, size)
-    quads = hits.quad.reshape(shape)
-    depth = np.where(np.isfinite(hits.depth), hits.depth, 0).astype(np.float32).reshape(shape)
-    normal = hits.normals.reshape(views, -1, 3) @ level_T_world[:, :3, :3].swapaxes(1, 2)
-    known = (depth > 0)[..., None]
+    met = hits(room, rays, ring.beams(level_T_world, size))
+    quads = met.quad.reshape(shape)
+    depth = np.where(np.isfinite(met.depth), met.depth, 0).astype(np.float32).reshape(shape)
+    turned = level_T_world[:, :3, :3].swapaxes(1, 2).astype(np.float32)
+    normal = met.normals.reshape(views, -1, 3) @ turned
     semantics = np.where(depth > 0, room.surface[quads], np.uint8(Surface.UNKNOWN))
     glass = semantics == Surface.WINDOW
-    observed, measured = _measured(cameras, depth, hits.cosine.reshape(shape), glass, rng)
-    colour = lit(room, hits, 0.5 * size).reshape(*shape, 3)
+    observed, measured = _measured(cameras, depth, met.cosine.reshape(shape), glass, rng)
     planes, kinds = _planes(room, level_T_world, own, quads)
     return RoomSample(
         level_T_world=level_T_world,
         scan_R_level=np.stack([camera.scan_R_level for camera in cameras]),
-        colour=_photographs(colour, rng),
+        colour=photograph_ring(_lit(room, rays, met, shape), rng),
         depth=depth,
-        normal=np.where(known, normal.reshape(*shape, 3), 0).astype(np.float32),
+        normal=np.where(depth[..., None] > 0, normal.reshape(*shape, 3), 0).astype(np.float32),
         semantics=semantics,
         observed=observed,
         measured=measured,
@@ -106,18 +111,26 @@ def room_sample(seed: int, views: int = 4, size: int = 64) -> RoomSample:
     )
 
 
+def _lit(room: Room, caster: Caster, met: Hits, shape: tuple[int, int, int]) -> FloatArray:
+    """(V, S, 4 S, 3) colours; shadows are found at every second pixel."""
+    texel = room.texel_m[met.quad]
+    footprint = met.depth / (0.5 * shape[1] * texel * np.sqrt(np.maximum(met.cosine, 0.05)))
+    which = room.texture[met.quad]
+    albedo = room.coarse_atlas.lookup(which, met.uv, footprint.astype(np.float32))
+    half = np.arange(len(which)).reshape(shape)[:, ::2, ::2]
+
+    def visibility(lamp: Array) -> FloatArray:
+        seen = seen_from(caster, lamp, met, half.ravel()).reshape(half.shape)
+        return np.asarray(seen.repeat(2, axis=1).repeat(2, axis=2).ravel())
+
+    light = arriving(room, met, visibility)
+    return exposed(albedo * light[:, None]).reshape(*shape, 3)
+
+
 def _rooms(plan: Plan, level_T_world: Array) -> IntArray:
     """(V,) the room in which each camera is."""
     places = se3.inverse(level_T_world)[:, :2, 3]
     return np.asarray(np.argmax([room.contains(places) for room in plan.rooms], axis=0), np.int64)
-
-
-def _rings(room: Room, level_T_world: Array, size: int) -> Hits:
-    world_T_level = se3.inverse(level_T_world)
-    directions = ring.rays(size).reshape(1, -1, 3) @ world_T_level[:, :3, :3].swapaxes(1, 2)
-    origins = np.broadcast_to(world_T_level[:, None, :3, 3], directions.shape)
-    beams = np.concatenate([origins, directions], axis=-1).reshape(-1, 6).astype(np.float32)
-    return hits_of(room, beams, room.scene.cast_rays(o3d.core.Tensor(beams)))
 
 
 def _measured(
@@ -131,16 +144,6 @@ def _measured(
         sensed = measure_ring(along, observed[i], cosine[i], glass[i], rng)
         measured[i] = np.where(sensed > 0, sensed / np.where(inside, slope, 1), 0)
     return observed, measured
-
-
-def _photographs(colour: FloatArray, rng: Rng) -> Bytes:
-    """Exposure, white balance and noise of each view."""
-    gain = rng.uniform(0.75, 1.25, (len(colour), 1, 1, 1)) * rng.normal(
-        1, 0.03, (len(colour), 1, 1, 3)
-    )
-    grain = rng.standard_normal(colour.shape, dtype=np.float32)
-    noisy = colour * gain.astype(np.float32) + np.float32(2.5) * grain
-    return np.clip(noisy, 0, 255).astype(np.uint8)
 
 
 def _layout(above: FloorMap, level_T_world: Array, own: int, depth: FloatArray) -> Bytes:

@@ -1,9 +1,4 @@
-"""What a structured-light RGB-D camera makes of a perfect view.
-
-Axial noise grows with the square of the depth because disparity is what is measured; the deviation
-of 0.0014 z^2 and the 1/8 pixel steps are those of Khoshelham and Elberink, "Accuracy and Resolution
-of Kinect Depth Data" (Sensors 2012).
-"""
+"""What a structured-light RGB-D camera makes of a perfect view."""
 
 from __future__ import annotations
 
@@ -13,15 +8,9 @@ import cv2
 import numpy as np
 
 from fewview.geometry.camera import depth_edges
+from fewview.synthetic.kinect import FOCAL_BASELINE, NOISE_PX, RANGE_M, STEP_PX
 from fewview.synthetic.textures import Image, Rng, fractal
 from fewview.types import BoolArray, FloatArray
-
-RANGE_M = (0.4, 5.0)
-"""Nearest and farthest depth that is measured."""
-
-_FOCAL_BASELINE = 43.5
-_STEP_PX = 0.125
-_NOISE_PX = 0.049
 
 
 @dataclass(frozen=True)
@@ -58,41 +47,12 @@ def measure(view: View, rng: Rng) -> FloatArray:
     near, far = RANGE_M
     depth = view.depth
     usable = (depth > near) & (depth < far)
-    disparity = _FOCAL_BASELINE / np.where(usable, depth, 1.0).astype(np.float32)
-    disparity += np.float32(_NOISE_PX) * _correlated(rng, depth.shape)
-    disparity = np.maximum(np.round(disparity / _STEP_PX) * _STEP_PX, _STEP_PX)
-    noisy = np.round(_FOCAL_BASELINE / disparity * 1000.0) / 1000.0
+    disparity = FOCAL_BASELINE / np.where(usable, depth, 1.0).astype(np.float32)
+    disparity += np.float32(NOISE_PX) * _correlated(rng, depth.shape)
+    disparity = np.maximum(np.round(disparity / STEP_PX) * STEP_PX, STEP_PX)
+    noisy = np.round(FOCAL_BASELINE / disparity * 1000.0) / 1000.0
     kept = usable & (noisy > near) & (noisy < far) & ~_lost(view, rng)
     return np.where(kept, noisy, 0.0).astype(np.float32)
-
-
-def measure_ring(
-    depth: FloatArray, observed: BoolArray, cosine: FloatArray, glass: BoolArray, rng: Rng
-) -> FloatArray:
-    """What sensors of various make give on the pixels of a ring.
-
-    A ring's pixel stands for one of the sensor's, so the noise is that of a single one.
-
-    Args:
-        depth: (S, 4 S) metres along the camera's axis.
-        observed: (S, 4 S) where the camera looks and reaches.
-        cosine: (S, 4 S) of the angle between ray and surface normal.
-        glass: (S, 4 S) window panes; half of the cameras see nothing there.
-        rng: source of noise.
-
-    Returns:
-        (S, 4 S) metres along the camera's axis, 0 where it is lost.
-    """
-    noise_px, seen_through = _NOISE_PX * rng.uniform(0.3, 2.0), rng.uniform() < 0.5
-    disparity = _FOCAL_BASELINE / np.where(observed, depth, 1.0).astype(np.float32)
-    disparity += np.float32(noise_px) * rng.standard_normal(depth.shape, dtype=np.float32)
-    disparity = np.maximum(np.round(disparity / _STEP_PX) * _STEP_PX, _STEP_PX)
-    chance = rng.random(depth.shape, dtype=np.float32)
-    edges = depth_edges(depth, 0.15)
-    blotches = fractal(rng, (depth.shape[0], depth.shape[1]), depth.shape[1] / 16, 3)
-    lost = (cosine < 0.1 + 0.2 * chance) | (edges & (chance < 0.5)) | (chance > 0.99)
-    lost |= (blotches > rng.uniform(2.0, 4.0)) | (glass & seen_through & (chance > 0.1))
-    return np.where(observed & ~lost, _FOCAL_BASELINE / disparity, 0.0).astype(np.float32)
 
 
 def _correlated(rng: Rng, shape: tuple[int, ...]) -> FloatArray:
