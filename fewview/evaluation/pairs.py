@@ -65,7 +65,7 @@ def score_pairs(
 
 
 def summarise_pairs(rows: Sequence[Json]) -> Json:
-    """Means (and top-1 medians) over scored pairs, over all and, where overlaps are known, by overlap class.
+    """Means (and top-1 medians) over scored pairs, and by overlap class where overlaps are known.
 
     A pair without candidates counts with the identity's errors in ``top`` and as a miss in
     ``recall``, and is counted in ``without_candidates``.
