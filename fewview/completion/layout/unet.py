@@ -34,10 +34,10 @@ class EncoderDecoder(nn.Module):
             nn.Sequential(convolution(a, b, 2), convolution(b, b))
             for a, b in zip(sizes[:-1], sizes[1:], strict=True)
         )
-        self.up = nn.ModuleList(
-            convolution(a + b, a) for a, b in zip(sizes[:-1], sizes[1:], strict=True)
+        self.narrow = nn.ModuleList(
+            nn.Conv2d(b, a, 1) for a, b in zip(sizes[:-1], sizes[1:], strict=True)
         )
-        self.last = convolution(width, width)
+        self.up = nn.ModuleList(convolution(size, size) for size in sizes[:-1])
 
     def forward(self, grid: Tensor) -> Tensor:
         """(B, inputs, H, W) to (B, width, H, W); H and W multiples of 16."""
@@ -45,7 +45,6 @@ class EncoderDecoder(nn.Module):
         for down in self.down:
             skips.append(down(skips[-1]))
         x = skips.pop()
-        for up in reversed(self.up):
-            x = nn.functional.interpolate(x, scale_factor=2.0)
-            x = up(torch.cat([skips.pop(), x], dim=1))
-        return torch.as_tensor(self.last(x))
+        for narrow, up in zip(reversed(self.narrow), reversed(self.up), strict=True):
+            x = up(skips.pop() + nn.functional.interpolate(narrow(x), scale_factor=2.0))
+        return torch.as_tensor(x)
