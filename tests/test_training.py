@@ -154,6 +154,17 @@ def test_a_pool_comes_round() -> None:
     assert not torch.equal(batches[0]["source"], batches[6]["source"])
 
 
+def test_a_batch_draws_some_of_the_cameras() -> None:
+    config = dataclasses.replace(SHORT, made_views=6, views=3, pool=1)
+    every = np.linalg.norm(box_room(0, 6, 64).level_T_world[:, :3, 3], axis=1)
+    drawn = [RoomBatches(config, box_rooms)[step] for step in (0, 2)]
+    for batch in drawn:
+        found = batch["world_T_level"][:, :3, 3].norm(dim=1).numpy()
+        assert len(found) == len(np.unique(found)) == 3
+        assert np.abs(found[:, None] - every).min(axis=1).max() < 1e-5
+    assert not torch.equal(drawn[0]["depth"], drawn[1]["depth"])
+
+
 def test_a_mirrored_room_is_a_room() -> None:
     room = box_room(3, 3, 64)
     other = mirrored(room)
@@ -273,6 +284,7 @@ def test_the_shipped_settings_are_read() -> None:
         ({"problem": "panorama", "step": 3}, "did you mean 'steps'"),
         ({"problem": "panorama", "settings": {"sise": 3}}, "did you mean 'settings.size'"),
         ({"problem": "panorama", "rooms": 0}, "at least 1"),
+        ({"problem": "panorama", "made_views": 2}, "made_views"),
     ],
 )
 def test_wrong_settings_are_refused(tmp_path: Path, values: dict[str, Any], message: str) -> None:

@@ -18,6 +18,7 @@ Batch = dict[str, Tensor]
 PROBLEMS: Mapping[str, tuple[str, str]] = {
     "layout": ("fewview.training.layout", "LayoutProblem"),
     "panorama": ("fewview.training.panorama", "PanoramaProblem"),
+    "structure": ("fewview.training.structure", "StructureProblem"),
 }
 """Name -> module and class."""
 

@@ -96,13 +96,21 @@ class RoomBatches(Dataset[Batch]):
 
     def __getitem__(self, step: int) -> Batch:
         c, training = self.config, self.split == "train"
+        rng = np.random.default_rng([c.seed, step, int(training)])
         rooms = []
         for number in range(step * self.rooms, (step + 1) * self.rooms):
             turn, index = divmod(number, c.pool) if training and c.pool else (0, number)
-            room = self.source(self.split, index, c.views, c.size)
+            room = self.source(self.split, index, c.made_views or c.views, c.size)
+            room = some_views(room, c.views, rng)
             rooms.append(mirrored(room) if turn % 2 else room)
-        rng = np.random.default_rng([c.seed, step, int(training)])
         return c.settings.batch(rooms, rng)
+
+
+def some_views(room: RoomSample, count: int, rng: np.random.Generator) -> RoomSample:
+    """A room with ``count`` of its cameras."""
+    chosen = rng.permutation(len(room.depth))[:count]
+    arrays = {name: array[chosen] for name, array in vars(room).items()}
+    return cast("RoomSample", SimpleNamespace(**arrays))
 
 
 def mirrored(room: RoomSample) -> RoomSample:

@@ -25,7 +25,9 @@ class TrainConfig:
     rooms: int = 3
     """Rooms in a batch."""
     views: int = 4
-    """Cameras in a room."""
+    """Cameras in each of them."""
+    made_views: int = 0
+    """Cameras in a room when it is made, of which a batch draws `views`; 0 for as many."""
     size: int = 64
     """Pixels along a ring's face."""
     pool: int = 0
@@ -55,6 +57,8 @@ class TrainConfig:
         for name in ("steps", "rooms", "views", "validation_rooms", "validate_every", "log_every"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"{name} must be at least 1")
+        if 0 < self.made_views < self.views:
+            raise ConfigError("made_views must be 0 or at least views")
 
 
 def load(file: Path, assignments: tuple[str, ...] = ()) -> TrainConfig:
