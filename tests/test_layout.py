@@ -11,7 +11,7 @@ from fewview.completion.layout.complete import complete_layout
 from fewview.completion.layout.grid import CELL_M, CELLS, cell_centres, cells_of, field_of_view
 from fewview.completion.layout.network import LayoutNetwork, LayoutNetworkConfig
 from fewview.completion.layout.pointnet import PointBatch, SplitLinear
-from fewview.completion.layout.points import ScanPoints, about_vertical, scan_points, wall_azimuth
+from fewview.completion.layout.points import ScanPoints, about_vertical, scan_points
 from fewview.completion.layout.pooling import BINS, heights_over, pooled, seen_through
 from fewview.completion.panorama.ring import RingScan
 from fewview.geometry import se3
@@ -58,7 +58,7 @@ def test_points_of_a_scan_lie_on_what_it_measured() -> None:
     room = box_room(3, views=1)
     scan = scan_of(3)
     assert scan.valid.all()
-    points = scan.points @ about_vertical(scan.heading)
+    points = scan.points @ scan.wall_R_level
     normals, offsets = room.planes[0, :6, :3], room.planes[0, :6, 3]
     assert np.abs(points @ normals.T - offsets).min(axis=1).max() < 1e-4
     assert (points[:, 0] > 0).all()
@@ -67,29 +67,38 @@ def test_points_of_a_scan_lie_on_what_it_measured() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_the_wall_frame_lies_along_the_walls(seed: int) -> None:
     room = box_room(seed, views=1)
-    wall = about_vertical(scan_of(seed).heading) @ room.planes[0, 2, :3]
+    wall = scan_of(seed).wall_R_level @ room.planes[0, 2, :3]
     assert np.abs(wall[:2]).max() == pytest.approx(1.0, abs=1e-3)
     assert abs(float(scan_of(seed).heading)) <= np.pi / 4 + 1e-6
 
 
-def test_the_wall_azimuth_is_that_of_most_normals() -> None:
-    angle = np.concatenate([0.3 + 0.5 * np.pi * np.arange(40), np.linspace(0, 6, 30)])
-    normals = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1).astype(np.float32)
-    assert wall_azimuth(normals) == pytest.approx(0.3, abs=0.03)
-    assert wall_azimuth(np.zeros((5, 3), np.float32)) == 0.0
+def test_a_ring_turned_otherwise_gives_the_same_heading() -> None:
+    room = box_room(1, views=1, size=32)
+    level_T_scan = se3.pose(room.scan_R_level[0].T, np.zeros(3))
+    turned = se3.pose(about_vertical(np.array(np.pi / 2)).astype(np.float64), np.zeros(3))
+    measured, colour = room.measured[0], room.colour[0]
+    ahead = RingScan(colour, measured, level_T_scan)
+    aside = RingScan(
+        np.roll(colour, -32, axis=1), np.roll(measured, -32, axis=1), turned @ level_T_scan
+    )
+    first, second = (scan_points(r, np.random.default_rng(0), 1024) for r in (ahead, aside))
+    assert float(second.heading) == pytest.approx(float(first.heading), abs=1e-3)
+    assert np.abs(first.points.mean(axis=0) - second.points.mean(axis=0)).max() < 1e-3
+    back = about_vertical(np.array(-np.pi / 2))
+    np.testing.assert_allclose(second.wall_R_level, first.wall_R_level @ back, atol=1e-3)
 
 
 def test_a_layout_turned_there_and_back_is_the_same_inside() -> None:
     layout = torch.from_numpy(box_room(1, views=1).layout.astype(np.int64))
-    heading = torch.tensor([0.4])
-    there, known = turned_layout(layout, heading)
-    back, _ = turned_layout(there, -heading)
+    turn = about_vertical(np.array([0.4]))
+    there, known = turned_layout(layout, turn)
+    back, _ = turned_layout(there, turn.swapaxes(1, 2))
     inside = torch.from_numpy(np.hypot(*cell_centres().transpose(2, 0, 1)) < 3.8)
     assert (back == layout)[0, inside].float().mean() > 0.93
     assert known[0, inside].all() and not known.all()
     ahead = torch.zeros(1, CELLS, CELLS, dtype=torch.int64)
     ahead[0, 8, 32] = 1
-    moved = turned_layout(ahead, torch.tensor([0.5 * np.pi]).float())[0].nonzero()
+    moved = turned_layout(ahead, about_vertical(np.array([0.5 * np.pi])))[0].nonzero()
     assert moved.tolist() == [[0, 31, 8]]
 
 
@@ -219,7 +228,7 @@ def test_descriptors_that_tell_places_apart_have_no_loss_and_full_recall() -> No
 
 def _poses(batch: dict[str, Tensor]) -> np.ndarray:
     poses = np.concatenate([box_room(i, views=2).level_T_world for i in range(2)])
-    turns = about_vertical(batch["heading"].numpy()).astype(np.float64)
+    turns = about_vertical(batch["heading"].double().numpy()).astype(np.float64)
     return np.asarray(se3.pose(turns, np.zeros((4, 3))) @ poses)
 
 

@@ -14,11 +14,12 @@ from torch import Tensor, nn
 from fewview.completion.layout.complete import observed_cells
 from fewview.completion.layout.grid import CLASSES, FREE, UNKNOWN, WALL, cell_centres, cells_of
 from fewview.completion.layout.network import LayoutNetwork, LayoutNetworkConfig, LayoutOutput
-from fewview.completion.layout.points import POINTS, about_vertical
+from fewview.completion.layout.points import POINTS
 from fewview.training import losses
 from fewview.training.cell_matches import cell_matches, match_loss, match_recall
 from fewview.training.point_batches import given, room_points
 from fewview.training.problem import Batch
+from fewview.types import Array, FloatArray
 
 if TYPE_CHECKING:
     from fewview.synthetic.samples import RoomSample
@@ -60,7 +61,7 @@ class LayoutProblem:
         """All cameras of the rooms: points, floor, layout (B, G, G) and matched cells."""
         scans = room_points(rooms, self.points, self.tilt_deg, rng)
         layout = torch.from_numpy(np.concatenate([room.layout for room in rooms]).astype(np.int64))
-        layout, known = turned_layout(layout, scans.batch.heading)
+        layout, known = turned_layout(layout, scans.turns)
         matches = cell_matches(
             layout.numpy(), scans.room.numpy(), scans.frame_T_world, self.matches, rng
         )
@@ -106,14 +107,14 @@ class LayoutProblem:
         }
 
 
-def turned_layout(layout: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:
-    """Layouts (B, G, G) of the level frames on grids of the wall frames, nearest cell.
+def turned_layout(layout: Tensor, turns: Array | FloatArray) -> tuple[Tensor, Tensor]:
+    """Layouts (B, G, G) on grids turned by (B, 3, 3) about the vertical, nearest cell.
 
     Returns:
         (B, G, G) and where they are known: the corners of a turned grid reach beyond the other.
     """
-    wall_R_level = torch.from_numpy(about_vertical(heading.numpy()))[:, None, :2, :2]
-    places = torch.from_numpy(cell_centres()) @ wall_R_level
+    back = torch.from_numpy(turns[:, None, :2, :2].astype(np.float32))
+    places = torch.from_numpy(cell_centres()) @ back
     cells, inside = cells_of(places)
     found = layout.flatten(1).gather(1, cells.flatten(1)).reshape(layout.shape)
     return torch.where(inside, found, UNKNOWN), inside

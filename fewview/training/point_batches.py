@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from fewview.completion.layout.pointnet import PointBatch
-from fewview.completion.layout.points import about_vertical, choose_pixels, points_of
+from fewview.completion.layout.points import choose_pixels, points_of
 from fewview.completion.panorama.ring import ring_normals
 from fewview.geometry import se3
 from fewview.training.problem import Batch
@@ -72,7 +72,7 @@ def room_points(
     tilts = se3.rotation_exp(np.radians(rng.normal(0, tilt_deg, (len(views), 3))) * [1, 1, 0])
     level_T_world = np.concatenate([room.level_T_world for room in rooms])
     batch = PointBatch.of(scans)
-    turns = about_vertical(batch.heading.numpy()).astype(np.float64)
+    turns = np.stack([scan.wall_R_level for scan in scans]).astype(np.float64)
     turn = torch.from_numpy(tilts.astype(np.float32)).mT
     batch = batch._replace(points=batch.points @ turn, normals=batch.normals @ turn)
     return RoomPoints(

@@ -12,7 +12,7 @@ from fewview import weights
 from fewview.completion.layout.grid import cell_centres
 from fewview.completion.layout.network import LayoutNetwork, LayoutNetworkConfig, LayoutOutput
 from fewview.completion.layout.pointnet import PointBatch
-from fewview.completion.layout.points import ScanPoints, about_vertical
+from fewview.completion.layout.points import ScanPoints
 from fewview.types import Array, BoolArray, FloatArray
 
 NAME = "layout"
@@ -23,12 +23,12 @@ class LayoutCompletion:
     """A room from above on a grid along its walls; see `grid` for rows and columns.
 
     Attributes:
-        places: (CELLS, CELLS, 2) x, y of the cells' centres in the scan's level frame, metres.
+        places: (CELLS, CELLS, 2) x, y of the cells' centres in the ring's level frame, metres.
         probabilities: (5, CELLS, CELLS) of the classes in `grid.CLASSES`.
         descriptors: (CELLS, CELLS, 32) unit length.
         confidence: (CELLS, CELLS) probability that the most probable class is right.
         observed: (CELLS, CELLS) bool, cells with a point or that the camera looked through.
-        floor: (4,) normal n (upwards) and offset d of the floor n . x = d, level frame.
+        floor: (4,) normal n (upwards) and offset d of the floor n . x = d, same frame.
     """
 
     places: FloatArray
@@ -74,7 +74,7 @@ def complete_layout(scan: ScanPoints, network: LayoutNetwork | None = None) -> L
         output = network(batch)
         probabilities = network.probabilities(output.logits)[0]
         observed = observed_cells(output)[0]
-    wall_R_level = about_vertical(scan.heading)
+    wall_R_level = scan.wall_R_level
     return LayoutCompletion(
         cell_centres() @ wall_R_level[:2, :2],
         probabilities.cpu().numpy(),

@@ -10,7 +10,7 @@ import torch
 
 from fewview import weights
 from fewview.completion.layout.pointnet import PointBatch
-from fewview.completion.layout.points import ScanPoints, about_vertical
+from fewview.completion.layout.points import ScanPoints
 from fewview.completion.structure import anchors
 from fewview.completion.structure.network import (
     LevelPrediction,
@@ -31,7 +31,7 @@ RIGHT_M = 0.3
 
 @dataclass(frozen=True)
 class StructuralPlane:
-    """A wall, the floor or the ceiling in the level frame of the scan.
+    """A wall, the floor or the ceiling in the level frame of the scan's ring.
 
     Attributes:
         kind: ``"floor"``, ``"ceiling"`` or ``"wall"``.
@@ -102,7 +102,7 @@ def complete_planes(scan: ScanPoints, network: StructureNetwork | None = None) -
     floor, ceiling = _levels(scan, LevelPrediction(*(t.cpu() for t in levels)))
     height = 0.5 * (floor.centre[2] + ceiling.centre[2])
     upright = _walls(scan, WallPrediction(*(t.cpu() for t in walls)), height)
-    wall_R_level = about_vertical(scan.heading)
+    wall_R_level = scan.wall_R_level
     return PlaneCompletion(
         planes=tuple(_turned_plane(p, wall_R_level) for p in (floor, ceiling, *upright)),
         normals=points.normal[0].cpu().numpy() @ wall_R_level,
