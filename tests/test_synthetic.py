@@ -198,7 +198,10 @@ def test_the_atlas_mirrors_textures_and_averages_from_afar() -> None:
     marked = np.zeros((4, 8, 3), np.uint8)
     marked[1, 2] = 10, 20, 30
     packed = atlas.pack(
-        [Texture((32, 16), 0.01, lambda _: stripes), Texture((8, 4), 0.01, lambda _: marked)]
+        [
+            Texture((32, 16), 0.01, lambda _: stripes, np.zeros(3)),
+            Texture((8, 4), 0.01, lambda _: marked, np.zeros(3)),
+        ]
     )
     which, uv = np.array([1, 1, 1, 1, 0]), np.array([[2, 1], [13, 1], [18, 1], [2, 6], [9, 9]])
     footprint = np.array([1, 1, 1, 1, 8], np.float32)

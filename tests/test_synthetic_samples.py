@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import tempfile
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import open3d as o3d
@@ -15,13 +19,14 @@ from fewview.geometry import se3
 from fewview.synthetic import ceilings, handheld, ring, shell
 from fewview.synthetic.classes import Ground, PlaneKind, Surface
 from fewview.synthetic.floor_map import floor_map
+from fewview.synthetic.frames import trace
 from fewview.synthetic.handheld import look
 from fewview.synthetic.plan import OpeningKind, make_plan, overlap_any, overlaps
-from fewview.synthetic.render import trace
 from fewview.synthetic.room import Room, make_room
 from fewview.synthetic.samples import GRID, GRID_CELL_M, RoomSample, room_sample
 from fewview.synthetic.scene import split_seed
-from fewview.types import Array, BoolArray, Intrinsics
+from fewview.synthetic.torch_rays import TorchCaster
+from fewview.types import Array, BoolArray, FloatArray, Intrinsics
 
 SEEDS = (1, 4, 6, 11)
 SIZE = 32
@@ -45,6 +50,14 @@ def scene_of(corners: Array) -> o3d.t.geometry.RaycastingScene:
         o3d.core.Tensor(faces.reshape(-1, 3).astype(np.uint32)),
     )
     return scene
+
+
+def beams_to(room: Room, lamp: Array, count: int) -> FloatArray:
+    """Rays (count, 6) of length 1 from random places in a room to a lamp."""
+    rng = np.random.default_rng(0)
+    low, high = room.plan.outline.min(axis=0), room.plan.outline.max(axis=0)
+    start = rng.uniform([*low, 0.05], [*high, 1.5], (count, 3))
+    return np.concatenate([start, lamp - start], axis=1).astype(np.float32)
 
 
 def on_pillar(room: Room, points: Array) -> BoolArray:
@@ -341,3 +354,64 @@ def test_coarse_textures_look_like_fine_ones() -> None:
     means = [np.abs(t.image(1.0).astype(float).mean() - t.image(4.0).astype(float).mean())
              for t in room_of(1).textures]  # fmt: skip
     assert np.median(means) < 6
+
+
+def test_torch_meets_what_embree_meets() -> None:
+    room = room_of(6)
+    beams = ring.beams(sample_of(6).level_T_world[:2], 12)
+    ours, theirs = TorchCaster(room.corners).cast(beams), room.caster.cast(beams)
+    np.testing.assert_allclose(ours.depth, theirs.depth, rtol=1e-3, atol=1e-3)
+    same = ours.triangle == theirs.triangle
+    assert same.mean() > 0.98
+    np.testing.assert_allclose(ours.weights[same], theirs.weights[same], atol=2e-3)
+    alike = room.surface[ours.triangle // 2] == room.surface[theirs.triangle // 2]
+    assert alike.mean() > 0.99
+
+
+def test_torch_sees_what_hides_a_lamp() -> None:
+    room = room_of(6)
+    start = beams_to(room, room.lamps[0], 400)
+    ours, theirs = TorchCaster(room.corners).blocked(start), room.caster.blocked(start)
+    assert (ours == theirs).mean() > 0.99
+    assert 0.02 < theirs.mean() < 0.98
+
+
+def test_torch_misses_what_is_not_there() -> None:
+    square = np.array([[[0.0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], [[0.0, 0, 2]] * 4])
+    ways = np.array(
+        [[0.2, 0.6, 0, 0, 0, 2.0], [1.2, 0.5, 0, 0, 0, 1], [0.5, 0.5, 3, 0, 0, 1]], np.float32
+    )
+    met = TorchCaster(square).cast(ways)
+    np.testing.assert_allclose(met.depth, [0.5, np.inf, np.inf])
+    np.testing.assert_array_equal(met.triangle, [1, 0, 0])
+    np.testing.assert_allclose(met.weights[0], [0.2, 0.4], atol=1e-6)
+    np.testing.assert_array_equal(TorchCaster(square).blocked(ways), [True, False, False])
+
+
+def test_samples_need_neither_open3d_nor_opencv() -> None:
+    """As on an accelerator machine: geometry as with Open3D, colours without OpenCV."""
+    code = """
+import sys
+for name in ("open3d", "cv2", "scipy"):
+    sys.modules[name] = None
+import importlib.util
+import numpy as np
+found = importlib.util.find_spec
+importlib.util.find_spec = lambda name, *a: None if name == "cv2" else found(name, *a)
+from fewview.synthetic.samples import room_sample
+from fewview.synthetic.torch_rays import TorchCaster
+sample = room_sample(6, 1, 8, TorchCaster)
+np.savez(sys.argv[1], **vars(sample))
+"""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "sample.npz"
+        subprocess.run([sys.executable, "-c", code, str(path)], check=True, timeout=120)
+        bare = np.load(path)
+        full = room_sample(6, 1, 8)
+        np.testing.assert_allclose(bare["level_T_world"], full.level_T_world)
+        assert (np.abs(bare["depth"] - full.depth) < 1e-2).mean() > 0.98
+        assert (bare["semantics"] == full.semantics).mean() > 0.98
+        assert (bare["layout"] == full.layout).mean() > 0.99
+        apart = bare["colour"].astype(float).mean(axis=(0, 1, 2)) - full.colour.mean(axis=(0, 1, 2))
+        assert np.abs(apart).max() < 60
+        assert bare["colour"].std() > 10

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 
-import cv2
 import numpy as np
 
 from fewview.synthetic.textures import Image, Texture
@@ -13,6 +13,7 @@ from fewview.types import FloatArray, IntArray
 
 _WIDTH = 4096
 _LEVELS = 4
+_MOTTLE = np.random.default_rng(0).normal(1.0, 0.08, (61, 61)).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +51,33 @@ class Atlas:
         return _sample(self.image, where)
 
 
+@dataclass(frozen=True, eq=False)
+class Tones:
+    """Mottled mean colours, where there is no OpenCV to paint textures with.
+
+    Attributes:
+        tones: (textures, 3) float32.
+    """
+
+    tones: FloatArray
+
+    def lookup(self, texture: IntArray, uv: FloatArray, footprint: FloatArray) -> Image:
+        """Colours (n, 3) uint8 of pixels uv (n, 2) at full detail, mottled by position."""
+        cell = np.floor(uv / 16.0).astype(np.int64) + 7 * texture[:, None]
+        gain = _MOTTLE[cell[:, 0] % len(_MOTTLE), cell[:, 1] % len(_MOTTLE)]
+        return np.asarray(np.clip(self.tones[texture] * gain[:, None], 0, 255), np.uint8)
+
+
+def small(textures: Sequence[Texture], coarser: float) -> Atlas | Tones:
+    """The textures for small images."""
+    if find_spec("cv2") is None:
+        return Tones(np.array([t.tone for t in textures], np.float32))
+    return pack(textures, coarser)
+
+
 def _sample(image: Image, where: FloatArray) -> Image:
+    import cv2
+
     rows = -(-len(where) // 1024)
     grid = np.zeros((rows * 1024, 2), np.float32)
     grid[: len(where)] = where
@@ -85,6 +112,8 @@ def pack(textures: Sequence[Texture], coarser: float = 1.0) -> Atlas:
 
 
 def _levels(image: Image) -> list[Image]:
+    import cv2
+
     out = [image]
     for _ in range(_LEVELS - 1):
         height, width = (max(1, n // 2) for n in out[-1].shape[:2])

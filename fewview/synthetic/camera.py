@@ -11,11 +11,11 @@ import open3d as o3d
 from fewview.errors import FewviewError
 from fewview.geometry import se3
 from fewview.geometry.camera import project
+from fewview.synthetic.frames import trace
 from fewview.synthetic.handheld import look
 from fewview.synthetic.hits import Hits
-from fewview.synthetic.kinect import RANGE_M
-from fewview.synthetic.render import trace
 from fewview.synthetic.room import Room
+from fewview.synthetic.structured_light import RANGE_M
 from fewview.synthetic.textures import Rng
 from fewview.types import Array, BoolArray, Intrinsics
 

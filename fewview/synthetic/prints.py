@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import string
 
-import cv2
 import numpy as np
 
 from fewview.synthetic.textures import (
@@ -20,12 +19,7 @@ from fewview.synthetic.textures import (
 )  # fmt: skip
 from fewview.types import Array
 
-_FONTS = (
-    cv2.FONT_HERSHEY_SIMPLEX,
-    cv2.FONT_HERSHEY_DUPLEX,
-    cv2.FONT_HERSHEY_TRIPLEX,
-    cv2.FONT_HERSHEY_COMPLEX,
-)
+_FONTS = (0, 2, 3, 4)  # OpenCV's Hershey fonts: simplex, duplex, complex, triplex
 _LETTERS = np.array(list(string.ascii_letters + string.digits))
 Size = tuple[float, float]
 
@@ -44,12 +38,16 @@ def _word(rng: Rng, longest: int = 9) -> str:
 
 
 def _write(rng: Rng, image: Image, text: str, xy: tuple[int, int], height: int, ink: Array) -> None:
+    import cv2
+
     font = _FONTS[rng.integers(len(_FONTS))]
     thickness = max(1, height // 9)
     cv2.putText(image, text, xy, font, height / 24.0, ink.tolist(), thickness, cv2.LINE_AA)
 
 
 def _shape(rng: Rng, image: Image, ink: Array) -> None:
+    import cv2
+
     height, width = image.shape[:2]
     x, y, kind = int(rng.integers(width)), int(rng.integers(height)), rng.integers(4)
     size = int(rng.uniform(0.05, 0.3) * min(height, width))
@@ -73,6 +71,8 @@ def photo(rng: Rng, size_m: Size, texel_m: float = 0.0025) -> Texture:
 
 
 def _photo(rng: Rng, size_m: Size, texel: float) -> Image:
+    import cv2
+
     image = _canvas(size_m, texel, np.zeros(3))
     height, width = image.shape[:2]
     sky, levels = vivid(rng), np.sort(rng.uniform(0.25, 0.95, rng.integers(2, 5)))
@@ -162,10 +162,12 @@ def page(rng: Rng, size_m: Size, texel_m: float = 0.0025) -> Texture:
             _picture(rng, sheet, 0.5, texel)
         return sheet
 
-    return painted(rng, size_m, texel_m, image)
+    return painted(rng, size_m, texel_m, image, np.full(3, 235.0))
 
 
 def _picture(rng: Rng, image: Image, share: float, texel: float) -> None:
+    import cv2
+
     height, width = (max(2, int(share * n)) for n in image.shape[:2])
     x, y = int(rng.integers(image.shape[1] - width)), int(rng.integers(image.shape[0] - height))
     inset = _photo(rng, (width * texel, height * texel), texel)
@@ -176,6 +178,8 @@ def screen(rng: Rng, size_m: Size, texel_m: float = 0.0025) -> Texture:
     """A monitor or television in its bezel, switched off or showing windows."""
 
     def image(rng: Rng, texel: float) -> Image:
+        import cv2
+
         panel = _canvas(size_m, texel, np.full(3, 25.0))
         if rng.uniform() < 0.7:
             content = (_photo if rng.uniform() < 0.5 else _poster)(rng, size_m, texel)
@@ -186,13 +190,15 @@ def screen(rng: Rng, size_m: Size, texel_m: float = 0.0025) -> Texture:
                 _picture(rng, inside, rng.uniform(0.2, 0.5), texel)
         return panel
 
-    return painted(rng, size_m, texel_m, image)
+    return painted(rng, size_m, texel_m, image, np.full(3, 40.0))
 
 
 def front(rng: Rng, size_m: Size, colour: Array, columns: int, rows: int) -> Texture:
     """Doors and drawers: gaps between them, frames on some, handles."""
 
     def image(rng: Rng, texel: float) -> Image:
+        import cv2
+
         face = _canvas(size_m, texel, colour)
         height, width = face.shape[:2]
         framed, upright = rng.uniform() < 0.5, rng.uniform() < 0.5
@@ -218,13 +224,15 @@ def front(rng: Rng, size_m: Size, colour: Array, columns: int, rows: int) -> Tex
                 cv2.rectangle(face, hand, far, metal, -1)
         return face
 
-    return painted(rng, size_m, 0.004, image)
+    return painted(rng, size_m, 0.004, image, colour)
 
 
 def outside(rng: Rng, size_m: Size) -> Texture:
     """What a window shows: a bright, blurred view behind white bars."""
 
     def image(rng: Rng, texel: float) -> Image:
+        import cv2
+
         bars = int(rng.integers(1, 4))
         view = cv2.GaussianBlur(_photo(rng, size_m, texel), (0, 0), max(0.4, 0.009 / texel))
         bright = cv2.addWeighted(view, 0.5, np.full_like(view, 255), 0.5, 20)
@@ -243,6 +251,8 @@ def whiteboard(rng: Rng, size_m: Size, texel_m: float = 0.003) -> Texture:
     """A board with hand-drawn lines, boxes and words."""
 
     def image(rng: Rng, texel: float) -> Image:
+        import cv2
+
         board = _canvas(size_m, texel, np.full(3, 232.0))
         height, width = board.shape[:2]
         for _ in range(rng.integers(4, 16)):
@@ -260,4 +270,4 @@ def whiteboard(rng: Rng, size_m: Size, texel_m: float = 0.003) -> Texture:
         cv2.rectangle(board, (0, 0), corner, (150, 150, 155), _px(0.024, texel))
         return board
 
-    return painted(rng, size_m, texel_m, image)
+    return painted(rng, size_m, texel_m, image, np.full(3, 230.0))

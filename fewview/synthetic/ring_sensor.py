@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fewview.geometry.camera import depth_edges
-from fewview.synthetic.kinect import FOCAL_BASELINE, NOISE_PX, STEP_PX
+from fewview.synthetic.structured_light import FOCAL_BASELINE, NOISE_PX, STEP_PX
 from fewview.synthetic.textures import Image, Rng
 from fewview.types import BoolArray, FloatArray
 

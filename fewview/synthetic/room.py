@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fewview.synthetic.atlas import Atlas, pack
+from fewview.synthetic.atlas import Atlas, Tones, pack, small
 from fewview.synthetic.classes import Surface
 from fewview.synthetic.decoration import decorate
 from fewview.synthetic.furnish import Standing, furnish
@@ -65,9 +65,9 @@ class Room:
         return pack(self.textures)
 
     @cached_property
-    def coarse_atlas(self) -> Atlas:
+    def coarse_atlas(self) -> Atlas | Tones:
         """The textures for small images, quick to paint."""
-        return pack(self.textures, _COARSER)
+        return small(self.textures, _COARSER)
 
     @cached_property
     def normals(self) -> FloatArray:

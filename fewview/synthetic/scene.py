@@ -14,7 +14,7 @@ from fewview.errors import FewviewError
 from fewview.ply import write_ply
 from fewview.scans import writer
 from fewview.synthetic.camera import ViewMode, kinect, sample_views
-from fewview.synthetic.render import render
+from fewview.synthetic.frames import render
 from fewview.synthetic.room import make_room
 from fewview.types import Array, ColouredMesh, Frame
 

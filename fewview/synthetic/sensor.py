@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from fewview.geometry.camera import depth_edges
-from fewview.synthetic.kinect import FOCAL_BASELINE, NOISE_PX, RANGE_M, STEP_PX
+from fewview.synthetic.structured_light import FOCAL_BASELINE, NOISE_PX, RANGE_M, STEP_PX
 from fewview.synthetic.textures import Image, Rng, fractal
 from fewview.types import BoolArray, FloatArray
 

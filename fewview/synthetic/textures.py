@@ -6,7 +6,6 @@ import colorsys
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +13,7 @@ from fewview.types import Array, BoolArray, FloatArray
 
 Rng = np.random.Generator
 Image = NDArray[np.uint8]
+_TONES = np.random.default_rng(0).uniform(50, 220, (64, 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,11 +24,13 @@ class Texture:
         size: (width, height) in pixels at full detail.
         texel_m: edge of one of these pixels on the surface, metres.
         painter: from the edge of a pixel, metres, to the (h, w, 3) uint8 RGB image.
+        tone: (3,) about the mean colour, 0..255.
     """
 
     size: tuple[int, int]
     texel_m: float
     painter: Callable[[float], Image]
+    tone: Array
 
     def image(self, coarser: float = 1.0) -> Image:
         """The image with pixels ``coarser`` times as large as at full detail."""
@@ -36,13 +38,20 @@ class Texture:
 
 
 def painted(
-    rng: Rng, size_m: tuple[float, float], texel_m: float, paint: Callable[[Rng, float], Image]
+    rng: Rng,
+    size_m: tuple[float, float],
+    texel_m: float,
+    paint: Callable[[Rng, float], Image],
+    tone: Array | None = None,
 ) -> Texture:
     """A texture whose painter has a source of chance of its own, seeded from ``rng``."""
     seed = int(rng.integers(2**63))
     height, width = pixels(size_m, texel_m)
     return Texture(
-        (width, height), texel_m, lambda texel: paint(np.random.default_rng(seed), texel)
+        size=(width, height),
+        texel_m=texel_m,
+        painter=lambda texel: paint(np.random.default_rng(seed), texel),
+        tone=_TONES[seed % len(_TONES)] if tone is None else tone,
     )
 
 
@@ -79,6 +88,8 @@ def fractal(
         octaves: number of octaves, amplitudes falling by 0.65.
         stretch: how much longer the features are along x than along y.
     """
+    import cv2
+
     height, width = shape
     out = np.zeros(shape, np.float32)
     for octave in range(octaves):
@@ -116,7 +127,7 @@ def plain(rng: Rng, base: Array) -> Texture:
         shape = pixels((0.288, 0.288), texel)
         return shade(base, np.float32(0.012) * rng.standard_normal(shape, dtype=np.float32))
 
-    return painted(rng, (0.288, 0.288), 0.012, image)
+    return painted(rng, (0.288, 0.288), 0.012, image, base)
 
 
 def laid(
@@ -156,7 +167,7 @@ def paint(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0
         field -= 0.1 * np.clip(scuffs - 2.9, 0, 1)
         return shade(base, field)
 
-    return painted(rng, size_m, texel_m, image)
+    return painted(rng, size_m, texel_m, image, base)
 
 
 def wood(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.004) -> Texture:
@@ -173,7 +184,7 @@ def wood(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.
         field = 0.07 * lines + 0.05 * fine + 0.06 * shades - np.float32(0.25) * joints
         return shade(base, field)
 
-    return painted(rng, size_m, texel_m, image)
+    return painted(rng, size_m, texel_m, image, base)
 
 
 def fabric(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.004) -> Texture:
@@ -194,7 +205,7 @@ def fabric(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 
         field = 0.07 * fractal(rng, shape, 0.25 / texel, 2) + 0.06 * fractal(rng, shape, 2, 1)
         return shade(body, field)
 
-    return painted(rng, size_m, texel_m, image)
+    return painted(rng, size_m, texel_m, image, base)
 
 
 def stone(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.004) -> Texture:
@@ -205,7 +216,7 @@ def stone(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0
         field = 0.1 * fractal(rng, shape, 3, 2) + 0.06 * fractal(rng, shape, 0.3 / texel, 3)
         return shade(base, field)
 
-    return painted(rng, size_m, texel_m, image)
+    return painted(rng, size_m, texel_m, image, base)
 
 
 def tiles(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.005) -> Texture:
@@ -220,7 +231,7 @@ def tiles(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0
         field = 0.05 * shades + 0.05 * marble - gap * joints
         return shade(base, field)
 
-    return painted(rng, size_m, texel_m, image)
+    return painted(rng, size_m, texel_m, image, base)
 
 
 def brick(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.006) -> Texture:
@@ -234,7 +245,7 @@ def brick(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0
         field = 0.13 * shades * ~joints + 0.08 * fractal(rng, shape, 12, 3)
         return shade(body, field)
 
-    return painted(rng, size_m, texel_m, image)
+    return painted(rng, size_m, texel_m, image, base)
 
 
 def parquet(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.006) -> Texture:
@@ -251,7 +262,7 @@ def parquet(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float =
         field = 0.1 * shades + 0.05 * grain + 0.05 * rings - np.float32(0.35) * joints
         return shade(base, field)
 
-    return painted(rng, size_m, texel_m, image)
+    return painted(rng, size_m, texel_m, image, base)
 
 
 def carpet(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.006) -> Texture:
@@ -266,13 +277,15 @@ def carpet(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 
         lines, _, _ = laid(rng, shape, (rng.uniform(0.2, 1.2) / texel, 2), True, 0)
         return shade(base, pile + np.float32(0.16) * lines)
 
-    return painted(rng, size_m, texel_m, image)
+    return painted(rng, size_m, texel_m, image, base)
 
 
 def rug(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.005) -> Texture:
     """A patterned rug: border, checks of irregular sizes, medallions."""
 
     def image(rng: Rng, texel: float) -> Image:
+        import cv2
+
         shape = pixels(size_m, texel)
         image = np.full((*shape, 3), base, np.float32)
         xs = np.cumsum(rng.uniform(0.08, 0.3, 40) / texel).astype(int)
@@ -289,7 +302,7 @@ def rug(rng: Rng, size_m: tuple[float, float], base: Array, texel_m: float = 0.0
         cv2.rectangle(image, (0, 0), (shape[1] - 1, shape[0] - 1), palette[0].tolist(), border)
         return shade(image, 0.09 * fractal(rng, shape, 4, 2))
 
-    return painted(rng, size_m, texel_m, image)
+    return painted(rng, size_m, texel_m, image, base)
 
 
 def wallpaper(
@@ -298,6 +311,8 @@ def wallpaper(
     """Paper with loosely scattered motifs, or stripes of changing width, in a near colour."""
 
     def image(rng: Rng, texel: float) -> Image:
+        import cv2
+
         shape = pixels(size_m, texel)
         image = np.full((*shape, 3), base, np.float32)
         tint = (base * rng.uniform(0.7, 0.9)).tolist()
@@ -312,4 +327,4 @@ def wallpaper(
                 cv2.ellipse(image, centre, axes, rng.uniform(0, 180), 0, 360, tint, -1)
         return shade(image, 0.012 * fractal(rng, shape, 100, 4))
 
-    return painted(rng, size_m, texel_m, image)
+    return painted(rng, size_m, texel_m, image, base)
