@@ -263,6 +263,21 @@ def test_info_nce_prefers_the_right_partner() -> None:
     assert losses.info_nce(source, source, far, ~valid) == 0.0
 
 
+def test_info_nce_is_hardest_at_one_height() -> None:
+    """Descriptors that tell only the height find their partner only where heights differ."""
+    torch.manual_seed(0)
+    angle = torch.linspace(0.0, 3.0, 20)
+    by_height = torch.stack([angle.cos(), angle.sin()], dim=1)[None]
+    places = torch.cat([10.0 * torch.randn(1, 20, 2), angle[None, :, None]], dim=2)
+    valid = torch.ones(1, 20, dtype=torch.bool)
+    apart = losses.info_nce(by_height, by_height, 3.0 * places, valid)
+    alike = by_height[:, :1].expand_as(by_height)
+    level = torch.cat([10.0 * torch.randn(1, 20, 2), torch.zeros(1, 20, 1)], dim=2)
+    together = losses.info_nce(alike, alike, level, valid)
+    assert together == pytest.approx(np.log(20), abs=0.1)
+    assert apart < together - 0.5
+
+
 def test_laplace_wants_the_scale_to_be_the_error() -> None:
     error = torch.tensor(0.2)
     values = [float(losses.laplace(error, torch.tensor(np.log(s)))) for s in (0.1, 0.2, 0.4)]
