@@ -104,6 +104,7 @@ class StructureNetwork(nn.Module):
             nn.Conv1d(sector, sector, KERNEL, padding=KERNEL // 2, padding_mode="circular")
             for _ in range(2)
         )
+        self.trust = nn.Parameter(torch.ones(SLOTS))
         self.wall_head = nn.Linear(sector, SLOTS * (SCALARS + BINS + DESCRIPTOR))
         self.levels = nn.Sequential(
             nn.Linear(2 * HEIGHT_BINS + whole, 128), nn.ReLU(), nn.Linear(128, 2 * (2 + DESCRIPTOR))
@@ -129,20 +130,13 @@ class StructureNetwork(nn.Module):
         )
 
     def _walls(self, batch: PointBatch, whole: Tensor) -> WallPrediction:
-        votes = anchors.wall_votes(batch.points, batch.normals, batch.valid)
-        far = 0.25 * anchors.reach(batch.points, batch.valid)
-        fine = torch.cat([votes, far[..., None]], dim=-1).roll(FINE // 2, dims=1)
-        sectors = fine.reshape(len(votes), ANCHORS, -1)
-        azimuth = anchors.anchor_azimuths(votes)
-        aside = azimuth[::SLOTS] - batch.heading[:, None]
-        ahead = torch.stack([aside.cos(), aside.sin()], dim=-1)
-        x = F.relu(self.sector(torch.cat([sectors, ahead], dim=-1), whole)).mT
-        for layer in self.around:
-            x = x + F.relu(layer(x))
-        out = self.wall_head(x.mT).reshape(len(votes), ANCHORS * SLOTS, -1)
+        sectors, most, azimuth = self._sectors(batch, whole)
+        out = self.wall_head(sectors).reshape(len(most), ANCHORS, SLOTS, -1)
+        seen = self.trust[:, None] * most[:, :, None]
         scalars, bins, descriptor = out.split([SCALARS, BINS, DESCRIPTOR], dim=-1)
+        scalars, bins, descriptor = (t.flatten(1, 2) for t in (scalars, bins + seen, descriptor))
         exists, turn, middle, scale, middle_scale = scalars.unbind(dim=-1)
-        centres = anchors.NEAREST_M + anchors.BIN_M * (torch.arange(BINS, device=x.device) + 0.5)
+        centres = anchors.NEAREST_M + anchors.BIN_M * (torch.arange(BINS, device=out.device) + 0.5)
         return WallPrediction(
             exists,
             azimuth + anchors.SECTOR * torch.tanh(turn),
@@ -152,6 +146,21 @@ class StructureNetwork(nn.Module):
             middle_scale.clamp(*LOG_SCALE_RANGE),
             F.normalize(descriptor, dim=-1),
         )
+
+    def _sectors(self, batch: PointBatch, whole: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Features of the sectors (B, ANCHORS, C), the most votes for each distance in them
+        (B, ANCHORS, BINS), and the azimuths of their slots (K,)."""
+        votes = anchors.wall_votes(batch.points, batch.normals, batch.valid).roll(FINE // 2, dims=1)
+        far = 0.25 * anchors.reach(batch.points, batch.valid).roll(FINE // 2, dims=1)
+        votes = votes.reshape(len(votes), ANCHORS, FINE, BINS)
+        azimuth = anchors.anchor_azimuths(votes)
+        aside = azimuth[::SLOTS] - batch.heading[:, None]
+        ahead = torch.stack([aside.cos(), aside.sin()], dim=-1)
+        found = torch.cat([votes.flatten(2), far.reshape(len(votes), ANCHORS, FINE), ahead], dim=-1)
+        x = F.relu(self.sector(found, whole)).mT
+        for layer in self.around:
+            x = x + F.relu(layer(x))
+        return x.mT, votes.amax(dim=2), azimuth
 
     def _levels(self, batch: PointBatch, whole: Tensor) -> LevelPrediction:
         votes = anchors.height_votes(batch.points, batch.normals, batch.valid)
