@@ -11,17 +11,34 @@ from fewview.types import BoolArray, FloatArray
 
 
 def photograph_ring(colour: FloatArray, rng: Rng) -> Image:
-    """Exposure, white balance and noise of each view; (V, S, 4 S, 3) 0..255 to uint8."""
-    count = len(colour)
-    gain = rng.uniform(0.7, 1.3, (count, 1, 1, 1)) * rng.normal(1, 0.04, (count, 1, 1, 3))
-    noisy = rng.standard_normal(colour.shape, dtype=np.float32)
-    noisy *= rng.uniform(0.5, 4.0, (count, 1, 1, 1)).astype(np.float32)
-    noisy += colour * gain.astype(np.float32)
-    return np.clip(noisy, 0, 255, out=noisy).astype(np.uint8)
+    """Exposure, contrast, saturation, white balance and noise of each view's camera.
+
+    Args:
+        colour: (V, S, 4 S, 3) float32, 0..255 and beyond.
+        rng: source of chance.
+
+    Returns:
+        (V, S, 4 S, 3) uint8.
+    """
+    each = (len(colour), 1, 1, 1)
+    balance = rng.uniform(0.7, 1.3, each) * rng.normal(1, 0.04, (len(colour), 1, 1, 3))
+    contrast, saturation = rng.uniform(0.5, 2.0, each), rng.uniform(0.4, 1.6, each)
+    image = colour * (contrast * balance).astype(np.float32)
+    image += ((1 - contrast) * balance * colour.mean(axis=(1, 2, 3), keepdims=True)).astype("f4")
+    grey = image.mean(axis=-1, keepdims=True)
+    image = grey + saturation.astype(np.float32) * (image - grey)
+    grain = rng.standard_normal(colour.shape, dtype=np.float32)
+    image += grain * rng.uniform(0.5, 5.0, each).astype(np.float32)
+    return np.asarray(np.clip(image, 0, 255, out=image), np.uint8)
 
 
 def measure_ring(
-    depth: FloatArray, observed: BoolArray, cosine: FloatArray, glass: BoolArray, rng: Rng
+    depth: FloatArray,
+    observed: BoolArray,
+    cosine: FloatArray,
+    glass: BoolArray,
+    dark: BoolArray,
+    rng: Rng,
 ) -> FloatArray:
     """What sensors of various make give on the pixels of a ring.
 
@@ -32,28 +49,30 @@ def measure_ring(
         observed: (S, 4 S) where the camera looks and reaches.
         cosine: (S, 4 S) of the angle between ray and surface normal.
         glass: (S, 4 S) window panes; half of the cameras see nothing there.
+        dark: (S, 4 S) surfaces that swallow light; half of the cameras lose most of them.
         rng: source of noise.
 
     Returns:
         (S, 4 S) metres along the camera's axis, 0 where it is lost.
     """
-    noise_px, seen_through = NOISE_PX * rng.uniform(0.3, 2.0), rng.uniform() < 0.5
+    noise_px, least = NOISE_PX * rng.uniform(0.3, 2.0), rng.uniform(0.03, 0.2)
     disparity = FOCAL_BASELINE / np.where(observed, depth, 1.0).astype(np.float32)
     disparity += np.float32(noise_px) * rng.standard_normal(depth.shape, dtype=np.float32)
     disparity = np.maximum(np.round(disparity / STEP_PX) * STEP_PX, STEP_PX)
     chance = rng.random(depth.shape, dtype=np.float32)
-    edges = depth_edges(depth, 0.15)
-    lost = (cosine < 0.1 + 0.2 * chance) | (edges & (chance < 0.5)) | (chance > 0.99)
-    lost |= _blotches(rng, depth.shape, rng.uniform(0.0, 0.04)) | (
-        glass & seen_through & (chance > 0.1)
+    lost = (cosine < least + 0.2 * chance) | (chance > rng.uniform(0.95, 1.0))
+    lost |= depth_edges(depth, 0.15) & (chance < rng.uniform(0.2, 0.9))
+    lost |= _blotches(rng, depth.shape, 0.4 * rng.uniform() ** 2)
+    lost |= (glass & (rng.uniform() < 0.5) & (chance > 0.1)) | (
+        dark & (rng.uniform() < 0.5) & (chance > 0.3)
     )
     return np.where(observed & ~lost, FOCAL_BASELINE / disparity, 0.0).astype(np.float32)
 
 
 def _blotches(rng: Rng, shape: tuple[int, ...], share: float) -> BoolArray:
-    """Random blocks that cover a share of an image."""
+    """Random blocks of several sizes that cover a share of an image."""
     out = np.zeros(shape, bool)
-    for edge in (2, 5):
-        blocks = rng.random((-(-shape[0] // edge), -(-shape[1] // edge))) < 0.5 * share
-        out |= np.kron(blocks, np.ones((edge, edge), bool))[: shape[0], : shape[1]]
+    for edge in (2, 4, 8):
+        blocks = rng.random((-(-shape[0] // edge), -(-shape[1] // edge))) < share / 3
+        out |= blocks.repeat(edge, axis=0).repeat(edge, axis=1)[: shape[0], : shape[1]]
     return out

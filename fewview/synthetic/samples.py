@@ -28,6 +28,7 @@ GRID = 64
 GRID_CELL_M = 0.125
 MOST_PLANES = 24
 _SEEN_SHARE = 0.01
+_DARK = 45.0
 
 Bytes = NDArray[np.uint8]
 
@@ -93,13 +94,14 @@ def room_sample(
     turned = level_T_world[:, :3, :3].swapaxes(1, 2).astype(np.float32)
     normal = met.normals.reshape(views, -1, 3) @ turned
     semantics = np.where(depth > 0, room.surface[quads], np.uint8(Surface.UNKNOWN))
-    glass = semantics == Surface.WINDOW
-    observed, measured = _measured(cameras, depth, met.cosine.reshape(shape), glass, rng)
+    colour = _lit(room, rays, met, shape)
+    cosine = met.cosine.reshape(shape)
+    observed, measured = _measured(cameras, depth, cosine, semantics, colour, rng)
     planes, kinds = _planes(room, level_T_world, own, quads)
     return RoomSample(
         level_T_world=level_T_world,
         scan_R_level=np.stack([camera.scan_R_level for camera in cameras]),
-        colour=photograph_ring(_lit(room, rays, met, shape), rng),
+        colour=photograph_ring(colour, rng),
         depth=depth,
         normal=np.where(depth[..., None] > 0, normal.reshape(*shape, 3), 0).astype(np.float32),
         semantics=semantics,
@@ -134,14 +136,21 @@ def _rooms(plan: Plan, level_T_world: Array) -> IntArray:
 
 
 def _measured(
-    cameras: list[Camera], depth: FloatArray, cosine: FloatArray, glass: BoolArray, rng: Rng
+    cameras: list[Camera],
+    depth: FloatArray,
+    cosine: FloatArray,
+    semantics: Bytes,
+    colour: FloatArray,
+    rng: Rng,
 ) -> tuple[BoolArray, FloatArray]:
+    """Where each camera looks and reaches, and the depth that it measures there."""
     observed, measured = np.zeros(depth.shape, bool), np.zeros_like(depth)
+    glass, dark = semantics == Surface.WINDOW, colour.max(axis=-1) < _DARK
     for i, camera in enumerate(cameras):
         inside, slope = ring.seen_by(camera.scan_R_level, camera.half_angles, depth.shape[1])
         along = depth[i] * slope
         observed[i] = inside & (along > camera.range_m[0]) & (along < camera.range_m[1])
-        sensed = measure_ring(along, observed[i], cosine[i], glass[i], rng)
+        sensed = measure_ring(along, observed[i], cosine[i], glass[i], dark[i], rng)
         measured[i] = np.where(sensed > 0, sensed / np.where(inside, slope, 1), 0)
     return observed, measured
 

@@ -27,16 +27,14 @@ class Shape:
     parts: Array
 
 
-def make_shape(rng: Rng, small: bool = False) -> Shape:
+def make_shape(rng: Rng) -> Shape:
     """A room's shape, centred, turned by any angle, often with walls that are not at right angles.
 
-    Args:
-        rng: chooses it.
-        small: at most a small bedroom.
+    Every sixth is as large as a hall.
     """
-    longest = 4.2 if small else 7.4
+    longest = 10.0 if rng.uniform() < 0.17 else 7.0
     w = rng.uniform(2.8, longest)
-    d = rng.uniform(max(2.4, 0.5 * w), min(5.8, 1.3 * w))
+    d = rng.uniform(max(2.4, 0.5 * w), min(0.8 * longest, 1.3 * w))
     kind = rng.choice(len(_KINDS), p=_CHANCES)
     points, quads = _KINDS[kind](rng, w, d)
     outline, parts = np.array(points), np.array(quads)
