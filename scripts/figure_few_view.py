@@ -13,8 +13,8 @@ from benchmark.draw import set_row
 from benchmark.few_view import KINDS_NOTE, sets_of
 from benchmark.methods.interface import Placement
 from benchmark.page import grid, save_png
-from benchmark.run import SetTask, run_sets
 from benchmark.store import Record, Store
+from benchmark.tasks import SetTask, run_sets
 
 METHODS = "fine2coarse,robustrec,xfeat_robustrec,ours_top5"
 

@@ -15,9 +15,10 @@ from benchmark.draw import pair_row
 from benchmark.methods.interface import Answer
 from benchmark.page import grid, save_png
 from benchmark.pairs import Pair
-from benchmark.run import PairTask, run
+from benchmark.run import run
 from benchmark.scenes import Scene
 from benchmark.store import Record, Store
+from benchmark.tasks import PairTask
 from fewview.evaluation.metrics import relative
 
 METHODS = "4pcs,fgr,ransac_icp,xfeat_icp,ours"

@@ -21,10 +21,10 @@ from benchmark.few_view import (
     sets_of,
     tables_of,
 )
-from benchmark.run import SetTask, run_sets
 from benchmark.scenes import rolled
 from benchmark.store import Store
 from benchmark.table import write
+from benchmark.tasks import SetTask, run_sets
 
 QUICK_SCENES = 2
 

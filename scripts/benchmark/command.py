@@ -11,9 +11,10 @@ from typing import Any
 from benchmark.catalogue import MULTI_METHODS, PAIR_METHODS, Method
 from benchmark.datasets import SPECS, Dataset, open_dataset
 from benchmark.pairs import PairList, load_or_draw
-from benchmark.run import PairTask, run
+from benchmark.run import run
 from benchmark.scoring import pair_row
 from benchmark.store import Store
+from benchmark.tasks import PairTask
 
 Json = dict[str, Any]
 PAIRS, QUICK_PAIRS = 1000, 120

@@ -9,7 +9,7 @@ from typing import Any
 from benchmark.catalogue import MULTI_METHODS
 from benchmark.datasets import Dataset
 from benchmark.mesh_runs import MeshTask
-from benchmark.run import SetTask, run
+from benchmark.run import run
 from benchmark.scenes import Scene
 from benchmark.scoring import set_row, summarise_sets
 from benchmark.sets import (
@@ -22,6 +22,7 @@ from benchmark.sets import (
 )
 from benchmark.store import Record
 from benchmark.table import Table
+from benchmark.tasks import SetTask
 from fewview.evaluation.mesh import MeshErrors
 
 Json = dict[str, Any]

@@ -10,9 +10,9 @@ import numpy as np
 
 from benchmark.catalogue import key_of
 from benchmark.methods.interface import Placement
-from benchmark.run import SetTask
 from benchmark.scenes import Scene
 from benchmark.store import Record, Store
+from benchmark.tasks import SetTask
 from fewview.config import FusionConfig
 from fewview.evaluation.gauge import align
 from fewview.evaluation.mesh import MeshErrors, mesh_errors, sample_surface

@@ -9,8 +9,8 @@ import numpy as np
 
 from benchmark.methods.interface import Answer, Placement
 from benchmark.pairs import Pair
-from benchmark.run import PairTask, SetTask
 from benchmark.store import Record
+from benchmark.tasks import PairTask, SetTask
 from fewview.evaluation.calibration import expected_calibration_error, reliability
 from fewview.evaluation.gauge import absolute_errors
 from fewview.evaluation.metrics import within

@@ -14,11 +14,12 @@ from benchmark import code, few_view, scoring
 from benchmark.catalogue import MULTI_METHODS, PAIR_METHODS, Method, NotBuilt, built
 from benchmark.methods.interface import Answer, Candidate, PairMethod, Placement
 from benchmark.pairs import Pair
-from benchmark.run import PairTask, SetTask, run, run_sets
+from benchmark.run import run
 from benchmark.scenes import Scene
 from benchmark.sets import FrameSet
 from benchmark.store import Record, Store
 from benchmark.table import Table, write
+from benchmark.tasks import PairTask, SetTask, run_sets
 from fewview import synthetic
 from fewview.geometry import se3
 from fewview.types import Frame
