@@ -71,7 +71,8 @@ def match_loss(descriptors: Tensor, batch: Batch) -> Tensor:
         batch: see `cell_matches`.
     """
     source, target = _compared(descriptors, batch)
-    return losses.info_nce(source, target, batch["match_place"], batch["match_valid"])
+    on_floor = F.pad(batch["match_place"], (0, 1))
+    return losses.info_nce(source, target, on_floor, batch["match_valid"])
 
 
 def match_recall(descriptors: Tensor, seen: Tensor, batch: Batch) -> dict[str, float]:
