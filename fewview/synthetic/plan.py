@@ -251,8 +251,8 @@ def overlap_any(polygon: Array, others: Array) -> bool:
 
 
 def _normals(polygons: Array) -> Array:
-    edges = np.roll(polygons, -1, axis=-2) - polygons
-    return np.stack([edges[..., 1], -edges[..., 0]], axis=-1)
+    following = np.concatenate([polygons[..., 1:, :], polygons[..., :1, :]], axis=-2)
+    return np.asarray((following - polygons)[..., ::-1] * [1.0, -1.0])
 
 
 def _apart(a: Array, b: Array) -> BoolArray:

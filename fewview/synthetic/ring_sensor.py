@@ -20,16 +20,20 @@ def photograph_ring(colour: FloatArray, rng: Rng) -> Image:
     Returns:
         (V, S, 4 S, 3) uint8.
     """
-    each = (len(colour), 1, 1, 1)
-    balance = rng.uniform(0.7, 1.3, each) * rng.normal(1, 0.04, (len(colour), 1, 1, 3))
-    contrast, saturation = rng.uniform(0.5, 2.0, each), rng.uniform(0.4, 1.6, each)
-    image = colour * (contrast * balance).astype(np.float32)
-    image += ((1 - contrast) * balance * colour.mean(axis=(1, 2, 3), keepdims=True)).astype("f4")
-    grey = image.mean(axis=-1, keepdims=True)
-    image = grey + saturation.astype(np.float32) * (image - grey)
-    grain = rng.standard_normal(colour.shape, dtype=np.float32)
-    image += grain * rng.uniform(0.5, 5.0, each).astype(np.float32)
-    return np.asarray(np.clip(image, 0, 255, out=image), np.uint8)
+    grain = rng.standard_normal(colour.shape[1:], dtype=np.float32)
+    out = np.empty(colour.shape, np.uint8)
+    for view, picture in zip(out, colour, strict=True):
+        contrast, saturation = rng.uniform(0.5, 2.0), rng.uniform(0.4, 1.6)
+        balance = rng.uniform(0.7, 1.3) * rng.normal(1, 0.04, 3)
+        mixing = saturation * np.eye(3) + (1 - saturation) / 3
+        turn = (contrast * np.diag(balance) @ mixing).astype(np.float32)
+        lift = (1 - contrast) * float(picture.mean()) * (balance @ mixing)
+        image = picture @ turn
+        image += lift.astype(np.float32)
+        shift = int(rng.integers(grain.shape[1]))
+        image += np.float32(rng.uniform(0.5, 5.0)) * np.roll(grain, shift, axis=1)
+        view[:] = np.clip(image, 0, 255, out=image)
+    return out
 
 
 def measure_ring(

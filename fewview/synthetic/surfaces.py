@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from fewview.geometry import se3
 from fewview.synthetic.classes import Surface
 from fewview.synthetic.textures import Rng, Texture
 from fewview.types import Array
 
+_UNIT = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
 _BOX_FACES = np.array(
     [
         [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]],
@@ -47,16 +47,16 @@ class Patch:
 
 def labelled(patches: Iterable[Patch], surface: Surface) -> tuple[Patch, ...]:
     """The same patches, those without a name called ``surface``."""
-    return tuple(p if p.surface else replace(p, surface=surface) for p in patches)
+    return tuple(
+        p if p.surface else Patch(p.corners, p.uv, p.texture, surface, p.plane) for p in patches
+    )
 
 
 def moved(patches: Iterable[Patch], target_T_source: Array) -> tuple[Patch, ...]:
     """The same patches in another frame."""
+    turn, shift = target_T_source[:3, :3].T, target_T_source[:3, 3]
     return tuple(
-        replace(
-            p, corners=se3.transform(target_T_source, p.corners.reshape(-1, 3)).reshape(-1, 4, 3)
-        )
-        for p in patches
+        Patch(p.corners @ turn + shift, p.uv, p.texture, p.surface, p.plane) for p in patches
     )
 
 
@@ -68,12 +68,13 @@ def covered(corners: Array, texture: Texture, rng: Rng) -> Patch:
         texture: the material.
         rng: chooses the places.
     """
-    along = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=-1)
-    up = np.linalg.norm(corners[:, 3] - corners[:, 0], axis=-1)
-    unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
-    uv = unit * np.stack([along, up], axis=-1)[:, None] / texture.texel_m
-    uv = np.where((up > along)[:, None, None], uv[..., ::-1], uv)
-    return Patch(corners, uv + rng.uniform(0, texture.size, (len(corners), 1, 2)), texture)
+    sides = corners[:, 1::2] - corners[:, :1]
+    size = np.sqrt(np.einsum("nsi,nsi->ns", sides, sides)) / texture.texel_m
+    tall = size[:, 1] > size[:, 0]
+    uv = _UNIT * size[:, None]
+    uv[tall] = uv[tall, :, ::-1]
+    uv += (rng.random((len(corners), 2)) * texture.size)[:, None]
+    return Patch(corners, uv, texture)
 
 
 def printed(corners: Array, texture: Texture) -> Patch:
