@@ -23,7 +23,7 @@ CONFIG = FeatureConfig()
 
 @pytest.fixture(scope="module")
 def scene() -> synthetic.SyntheticScene:
-    return synthetic.generate(synthetic.split_seed("test", 3), 3, seed=1, mode="spread")
+    return synthetic.generate(synthetic.split_seed("test", 7), 3, seed=1, mode="spread")
 
 
 @pytest.fixture(scope="module")

@@ -7,17 +7,19 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from safetensors import SafetensorError
 from safetensors.torch import load as read_tensors
 from safetensors.torch import save as to_bytes
-from torch import Tensor
+from torch import Tensor, nn
 
 from fewview.errors import FewviewError
 
 FOLDER = Path(__file__).parent
+Network = TypeVar("Network", bound=nn.Module)
 
 
 def load(name: str, folder: Path = FOLDER) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -42,6 +44,22 @@ def load(name: str, folder: Path = FOLDER) -> tuple[dict[str, Tensor], dict[str,
         return read_tensors(data), card
     except SafetensorError as error:
         raise FewviewError(f"{data_path}: is damaged; reinstall fewview") from error
+
+
+def shipped(name: str, make: Callable[[Mapping[str, Any]], Network]) -> Network:
+    """A network with the weights that come with the package, ready to predict.
+
+    Args:
+        name: of the weights.
+        make: builds the network from the sizes that its card holds.
+
+    Raises:
+        FewviewError: the weights are missing or damaged.
+    """
+    state, card = load(name)
+    network = make(card["config"]["settings"]["size"])
+    network.load_state_dict(state)
+    return network.eval()
 
 
 def save(name: str, folder: Path, state: dict[str, Tensor], card: dict[str, Any]) -> None:

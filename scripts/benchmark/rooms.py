@@ -2,9 +2,9 @@
 
 What `fewview.synthetic` makes of a seed:
 
-- a box (60 %) or an L (40 %) of 3.2-6.2 m, turned by any angle; every second one has a slanted
-  wall, so its walls are not Manhattan,
-- furniture along the walls and in the middle, rugs, doors, windows, curtains, pictures, lamps,
+- boxes, L and T shapes with niches, chimney breasts, cut corners and slanted walls, turned by any
+  angle; attics and lowered ceilings; doors open into a second room or a corridor,
+- furniture by what a room is for, along walls and in groups; textures, pictures, lamps, shadows,
 - hand-held cameras 1.2-1.7 m high, pitched by -30 to 5 degrees and rolled by up to 5, looking
   anywhere,
 - Kinect-like depth: noise that grows with the square of the depth, quantised disparity, 0.4-5 m,

@@ -19,7 +19,7 @@ from fewview.geometry import se3
 from fewview.synthetic import kinect, make_room, render, sample_views, split_seed
 from fewview.types import Array, Frame
 
-SEVERAL_PLANES = (2, 4)
+SEVERAL_PLANES = (7, 10)
 """Validation rooms where every view shows six planes or more, so that nothing can slide."""
 FRAMES = 8
 TURN = np.radians(10.0)

@@ -51,10 +51,7 @@ def shipped_network() -> LayoutNetwork:
     Raises:
         FewviewError: they are missing or damaged.
     """
-    state, card = weights.load(NAME)
-    network = LayoutNetwork(LayoutNetworkConfig(**card["config"]["settings"]["size"]))
-    network.load_state_dict(state)
-    return network.eval()
+    return weights.shipped(NAME, lambda size: LayoutNetwork(LayoutNetworkConfig(**size)))
 
 
 def complete_layout(scan: ScanPoints, network: LayoutNetwork | None = None) -> LayoutCompletion:

@@ -73,10 +73,7 @@ def shipped_network() -> PanoramaNetwork:
     Raises:
         FewviewError: they are missing or damaged.
     """
-    state, card = weights.load(NAME)
-    network = PanoramaNetwork(PanoramaNetworkConfig(**card["config"]["settings"]["size"]))
-    network.load_state_dict(state)
-    return network.eval()
+    return weights.shipped(NAME, lambda size: PanoramaNetwork(PanoramaNetworkConfig(**size)))
 
 
 def _kept(ring: RingScan, seen_normals: Tensor, answer: RingPrediction) -> CompletedPanorama:

@@ -78,10 +78,7 @@ def shipped_network() -> StructureNetwork:
     Raises:
         FewviewError: they are missing or damaged.
     """
-    state, card = weights.load(NAME)
-    network = StructureNetwork(StructureNetworkConfig(**card["config"]["settings"]["size"]))
-    network.load_state_dict(state)
-    return network.eval()
+    return weights.shipped(NAME, lambda size: StructureNetwork(StructureNetworkConfig(**size)))
 
 
 def complete_planes(scan: ScanPoints, network: StructureNetwork | None = None) -> PlaneCompletion:
