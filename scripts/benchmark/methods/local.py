@@ -93,9 +93,7 @@ def _generalised(
 
 
 def _sparse(source: o3d.geometry.PointCloud, target: o3d.geometry.PointCloud, pose: Array) -> Array:
-    return sparse_icp(
-        thinned(source), np.asarray(target.points), np.asarray(target.normals), pose
-    )
+    return sparse_icp(thinned(source), np.asarray(target.points), np.asarray(target.normals), pose)
 
 
 def _completed(frame: Frame, turn: int) -> PreparedScan:
