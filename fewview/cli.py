@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from fewview.types import Observer, Reconstruction
 
 ALL_PLACED, DEFECT, BAD_INPUT, PARTIAL, INTERRUPTED = 0, 1, 2, 3, 130
+DEMO_ROOM = 2
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -245,7 +246,7 @@ def _demo(options: argparse.Namespace) -> int:
     from fewview import config, synthetic
 
     folder, mesh = options.out / "scans", options.out / "mesh.ply"
-    scene = synthetic.generate(synthetic.split_seed("demo", 0), 8, 0, "spread")
+    scene = synthetic.generate(synthetic.split_seed("demo", DEMO_ROOM), 8, 0, "spread")
     synthetic.write(folder, scene)
     result = _run(
         folder, mesh, config.load(), 0, None, mesh.with_suffix(".rrd"), view=False, report=None
