@@ -46,7 +46,7 @@ def main() -> None:
     }
     run_sets([task for own in tasks.values() for task in own], options.jobs)
     results = results_of(tasks, [s for _, s in sets])
-    where = f"{dataset.name}, {len(dataset.scenes)} scenes, seed {options.seed}"
+    where = f"{dataset.name}, scenes: {len(dataset.scenes)}, seed {options.seed}"
     tables = tables_of(results, where)
     if options.mesh:
         results |= mesh_results(tasks, options.jobs)
