@@ -26,15 +26,11 @@ from benchmark.store import Store
 from benchmark.table import write
 from benchmark.tasks import SetTask, run_sets
 
-QUICK_SCENES = 2
-
 
 def main() -> None:
     """Parse the arguments, run, print the table."""
     options = arguments()
     dataset = opened(options)
-    if options.quick:
-        dataset = replace(dataset, scenes=dataset.scenes[:QUICK_SCENES])
     if options.roll:
         turned = tuple(rolled(scene, options.seed, options.cache) for scene in dataset.scenes)
         dataset = replace(dataset, name=f"{dataset.name}-rolled", scenes=turned)
@@ -46,7 +42,7 @@ def main() -> None:
     }
     run_sets([task for own in tasks.values() for task in own], options.jobs)
     results = results_of(tasks, [s for _, s in sets])
-    where = f"{dataset.name}, scenes: {len(dataset.scenes)}, seed {options.seed}"
+    where = f"{dataset.name}, scenes: {len({s.name for s, _ in sets})}, seed {options.seed}"
     tables = tables_of(results, where)
     if options.mesh:
         results |= mesh_results(tasks, options.jobs)

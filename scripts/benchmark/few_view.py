@@ -46,18 +46,19 @@ PAPER = {
     "RobustRec, paper on ScanNet": ("33.1 / 0.78", "25.1 / 0.52", "16.5 / 0.33", "12.3 / 0.26"),
     "Ours top-5, paper on ScanNet": ("5.13 / 0.18", "2.73 / 0.12", "2.13 / 0.10", "1.81 / 0.09"),
 }
+QUICK_SCENES = 2
 PAPER_SIZES = (5, 10, 15, 20)
 
 
 def sets_of(
     dataset: Dataset, kinds: Sequence[str], quick: bool, seed: int, cache: Path
 ) -> list[tuple[Scene, FrameSet]]:
-    """All sets of a data set with their scenes."""
+    """All sets of a data set with their scenes; those of `QUICK_SCENES` when it has to be quick."""
     limit = QUICK_COUNT if quick else SPARSE_COUNT
     counts = random_counts(dataset, quick)
     return [
         (scene, one)
-        for scene in dataset.scenes
+        for scene in dataset.scenes[: QUICK_SCENES if quick else None]
         for kind in kinds
         for one in frame_sets(scene, kind, counts=counts, limit=limit, seed=seed, cache=cache)
     ]
