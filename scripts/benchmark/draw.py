@@ -100,7 +100,7 @@ def _normals(grid: FloatArray, measured: BoolArray) -> Array:
     smooth = (blurred / np.maximum(share, 1e-6)).astype(np.float64)
     normals = np.cross(np.gradient(smooth, axis=0), np.gradient(smooth, axis=1))
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
-    away = np.einsum("ijk,ijk->ij", normals, smooth) > 0
+    away = np.einsum("ijk,ijk->ij", normals, grid) > 0
     return np.asarray(np.where(away[..., None], -normals, normals))
 
 
