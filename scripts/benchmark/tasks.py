@@ -50,7 +50,7 @@ class PairTask:
 
     def run(self) -> Record[Answer]:
         method = _made(self.method)
-        turns = self.turns or _turns(method, self.scene, (self.source, self.target))
+        turns = self.turns or _turns(method, self.method, self.scene, (self.source, self.target))
         views, seconds = [], {}
         for name, turn in zip((self.source, self.target), turns, strict=True):
             view, seconds[name] = _view(method, self.method, self.scene, name, turn)
@@ -78,7 +78,7 @@ class TurnsTask:
 
     def run(self) -> Record[tuple[int, ...]]:
         method = _made(self.method)
-        turns, seconds = _timed(lambda: _turns(method, self.scene, self.names))
+        turns, seconds = _timed(lambda: _turns(method, self.method, self.scene, self.names))
         return Record(turns, {"turns": seconds})
 
 
@@ -188,14 +188,14 @@ def _made(method: Method) -> PairMethod:
     return made
 
 
-def _turns(made: PairMethod, scene: Scene, names: Sequence[str]) -> tuple[int, ...]:
+def _turns(made: PairMethod, method: Method, scene: Scene, names: Sequence[str]) -> tuple[int, ...]:
     if type(made).glance is PairMethod.glance:
         return (0,) * len(names)
-    return made.turns([_glance(made, scene, name) for name in names])
+    return made.turns([_glance(made, method, scene, name) for name in names])
 
 
-def _glance(made: PairMethod, scene: Scene, name: str) -> Any:
-    key = (type(made).glance, scene.folder, name)
+def _glance(made: PairMethod, method: Method, scene: Scene, name: str) -> Any:
+    key = (method.key, scene.folder, name)
     return _glances.get(key, lambda: made.glance(scene.load(name)))
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import multiprocessing
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -162,3 +164,22 @@ def test_rows_without_their_networks_are_marked() -> None:
     for name in missing:
         with pytest.raises(SystemExit, match="not built"):
             built(name)
+
+
+class Turner(Recorder):
+    """Needs a glance at both scans."""
+
+    def glance(self, frame: Frame) -> float:
+        return float(frame.depth.max())
+
+    def turns(self, glances: Sequence[Any]) -> tuple[int, ...]:
+        return tuple(int(glance > 0) for glance in glances)
+
+
+def test_a_method_behind_a_local_one_is_shown_its_own_glances(scene: Scene, tmp_path: Path) -> None:
+    blind = Method("blind", "tests.benchmark.test_run", "Recorder", local="icp")
+    turner = Method("turner", "tests.benchmark.test_run", "Turner", local="icp")
+    a, b, *_ = scene.names
+    for method in (blind, turner):
+        record = PairTask(Store(tmp_path), method, scene, a, b).run()
+        assert record.answer is not None and len(record.answer.candidates) == 1
