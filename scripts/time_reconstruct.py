@@ -77,7 +77,8 @@ def _run(method: str, scans: Path, jobs: int) -> Json:
             raise SystemExit(f"{method} failed:\n{measured.errors}")
         report = out / "mesh.json"
         stages = json.loads(report.read_text())["timings_s"] if report.is_file() else None
-        return {**asdict(measured), "stages_s": stages}
+        taken = {name: value for name, value in asdict(measured).items() if name != "errors"}
+        return {**taken, "stages_s": stages}
 
 
 def _table(runs: dict[str, list[Json]], scene: str, size: int) -> Table:
