@@ -14,8 +14,12 @@ from fewview.completion.local_geometry import DepthView, reduce_depth, thin_surf
 from fewview.completion.orientation import glance, quarter_turns
 from fewview.completion.patches import find_patches
 from fewview.completion.xfeat import turn_pixels
-from fewview.config import FeatureConfig
-from fewview.types import CompletedScan, Frame, Intrinsics, Surface
+from fewview.config import Config, FeatureConfig, merge
+from fewview.errors import ConfigError
+from fewview.geometry import se3
+from fewview.matching.prepared import prepare
+from fewview.pairwise import match_pair, refine_alone
+from fewview.types import CompletedScan, Frame, Intrinsics, Representation, Surface
 from tests.turning import turned_frame
 
 CONFIG = FeatureConfig()
@@ -130,6 +134,35 @@ def test_features_lie_on_the_surface(completed: list[CompletedScan]) -> None:
             assert ((np.abs(length - 1.0) < 1e-6) | (length == 0.0)).all()
             assert (length > 0.0).mean() > 0.1
             assert features.observed.all()
+
+
+def test_only_the_chosen_kinds_are_extracted_and_matched(scene: synthetic.SyntheticScene) -> None:
+    config = merge(Config(), {"features": {"kinds": ["planes"]}}, "test")
+    names = scene.names[:2]
+    source, target = (
+        prepare(complete(n, f, 0, config.features, 0))
+        for n, f in zip(names, scene.frames, strict=False)
+    )
+    assert list(source.scan.features) == ["planes"]
+    for candidate in match_pair(source, target, (0, 1), config).candidates:
+        assert candidate.evidence.support[Representation.KEYPOINTS] == 0
+        assert set(candidate.matches) == {"planes"}
+
+
+def test_local_module_alone_brings_a_scan_back_onto_itself(
+    completed: list[CompletedScan],
+) -> None:
+    scan = prepare(completed[0])
+    start = se3.exp(np.array([[0.03, -0.02, 0.02, 0.05, -0.04, 0.05]]))
+    refined = refine_alone(scan, scan, start, Config())
+    angle, shift = se3.distance(refined, np.eye(4))
+    assert np.degrees(angle[0]) < 0.5 and shift[0] < 0.02
+
+
+def test_an_unknown_kind_is_refused(scene: synthetic.SyntheticScene) -> None:
+    config = FeatureConfig(kinds=("planes", "smell"))
+    with pytest.raises(ConfigError, match="unknown kind 'smell'; there are xfeat, sift, planes"):
+        complete("a", scene.frames[0], 0, config, 0)
 
 
 def test_a_scan_matches_itself(completed: list[CompletedScan]) -> None:

@@ -118,6 +118,16 @@ def test_known_pose_is_recovered_for_all_candidates_at_once() -> None:
     assert (np.linalg.eigvalsh(refined.covariance) > 0).all()
 
 
+def test_no_iterations_leave_poses_as_proposed_but_say_how_sure_they_are() -> None:
+    rng = np.random.default_rng(8)
+    surface = searchable(box_surface(rng))
+    start = se3.exp(np.array([[0.02, 0.0, 0.01, 0.03, 0.0, -0.02]]))
+    config = RefinementConfig(iterations=0)
+    refined = regression.refine(surface, surface, start, no_relations(1), no_matches(1), config)
+    np.testing.assert_allclose(refined.target_T_source, start, atol=1e-12)
+    assert (np.linalg.eigvalsh(refined.covariance[0]) > 0).all()
+
+
 def test_matches_keep_a_scan_from_sliding_along_a_wall() -> None:
     rng = np.random.default_rng(1)
     points = np.column_stack([rng.uniform(-1, 1, (800, 2)), np.full(800, 2.0)])
