@@ -11,9 +11,8 @@ from benchmark.catalogue import MULTI_METHODS
 from benchmark.command import multi_names, opened, out_path, parser
 from benchmark.draw import set_row
 from benchmark.few_view import KINDS_NOTE, sets_of
-from benchmark.methods.interface import Placement
 from benchmark.page import grid, save_png
-from benchmark.store import Record, Store
+from benchmark.store import Store
 from benchmark.tasks import SetTask, run_sets
 
 METHODS = "fine2coarse,robustrec,xfeat_robustrec,ours_top5"
@@ -47,13 +46,7 @@ def main() -> None:
 def drawn(tasks: list[SetTask]) -> dict[str, np.ndarray]:
     """Panels of one set by column title; the largest component of each method."""
     scene, names = tasks[0].scene, tasks[0].names
-    poses = {}
-    for task in tasks:
-        record: Record[list[Placement | None]] = task.store.read(task.path)
-        poses[task.method.label] = [
-            p.world_T_scan if p is not None and p.component == 0 else None
-            for p in record.answer or ()
-        ] or [None] * len(names)
+    poses = {task.method.label: task.largest() for task in tasks}
     frames = [scene.load(name) for name in names]
     return set_row(frames, poses, [scene.truth[name] for name in names], scene.up)
 

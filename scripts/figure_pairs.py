@@ -12,12 +12,11 @@ import numpy as np
 from benchmark.catalogue import built
 from benchmark.command import method_names, opened, out_path, pair_list, pair_parser
 from benchmark.draw import pair_row
-from benchmark.methods.interface import Answer
 from benchmark.page import grid, save_png
 from benchmark.pairs import Pair
 from benchmark.run import run
 from benchmark.scenes import Scene
-from benchmark.store import Record, Store
+from benchmark.store import Store
 from benchmark.tasks import PairTask
 from fewview.evaluation.metrics import relative
 
@@ -55,8 +54,7 @@ def drawn(scene: Scene, pair: Pair, tasks: list[PairTask]) -> dict[str, np.ndarr
     """Panels by column title."""
     poses = {}
     for task in tasks:
-        record: Record[Answer] = task.store.read(task.path)
-        found = (record.answer or Answer()).candidates
+        found = task.answer().candidates
         poses[task.method.label] = found[0].target_T_source if found else None
     truth = relative(scene.truth[pair.source], scene.truth[pair.target])
     up = scene.truth[pair.target][:3, :3].T @ scene.up

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from fewview.types import Array, BoolArray
+
+Json = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -59,3 +62,19 @@ def calibration_error(bins: Sequence[Bin]) -> float:
     total = sum(group.count for group in bins)
     gap = sum(group.count * abs(group.probability - group.right) for group in bins)
     return gap / total if total else 0.0
+
+
+def calibration_of(rows: Sequence[Json]) -> Json | None:
+    """Reliability of the rows that carry a ``probability``, by their ``right``; None when none
+    does."""
+    told = [row for row in rows if row.get("probability") is not None]
+    if not told:
+        return None
+    bins = reliability(
+        np.array([row["probability"] for row in told]), np.array([row["right"] for row in told])
+    )
+    return {
+        "count": len(told),
+        "ece": calibration_error(bins),
+        "bins": [vars(group) for group in bins],
+    }

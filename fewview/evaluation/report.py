@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fewview.errors import FewviewError
-from fewview.evaluation.calibration import expected_calibration_error, reliability
+from fewview.evaluation.calibration import calibration_of
 from fewview.evaluation.gauge import AbsoluteErrors, absolute_errors
 from fewview.evaluation.pairs import Overlaps, score_pairs, summarise_pairs
 from fewview.types import Array
@@ -66,8 +66,8 @@ def evaluate_report(
         "pair_summary": summarise_pairs(pairs),
         "pairs": pairs,
         "calibration": {
-            "scans": _calibration([row for row in rows if row["placed"]]),
-            "candidates": _calibration(candidates),
+            "scans": calibration_of([row for row in rows if row["placed"]]),
+            "candidates": calibration_of(candidates),
         },
     }
 
@@ -110,17 +110,3 @@ def _scan_rows(scans: list[Json], errors: AbsoluteErrors) -> list[Json]:
         }
         for i, scan in enumerate(scans)
     ]
-
-
-def _calibration(rows: list[Json]) -> Json | None:
-    """Reliability of the rows that carry a probability; None when none does."""
-    told = [row for row in rows if row.get("probability") is not None]
-    if not told:
-        return None
-    probability = np.array([row["probability"] for row in told])
-    right = np.array([row["right"] for row in told])
-    return {
-        "count": len(told),
-        "ece": expected_calibration_error(probability, right),
-        "bins": [vars(group) for group in reliability(probability, right)],
-    }

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from benchmark.catalogue import key_of
-from benchmark.methods.interface import Placement
 from benchmark.scenes import Scene
 from benchmark.store import Record, Store
 from benchmark.tasks import SetTask
@@ -65,12 +64,8 @@ class MeshTask:
         return Record(compared(fuse(frames, FusionConfig()), scene.mesh()), {})
 
     def _gauged(self) -> dict[str, Array]:
-        record: Record[list[Placement | None]] = self.store.read(self.placed.path)
-        found = {
-            name: placement.world_T_scan
-            for name, placement in zip(self.placed.names, record.answer or (), strict=False)
-            if placement is not None and placement.component == 0
-        }
+        poses = zip(self.placed.names, self.placed.largest(), strict=True)
+        found = {name: pose for name, pose in poses if pose is not None}
         if len(found) < 2:
             return {}
         truth = np.stack([self.placed.scene.truth[name] for name in found])

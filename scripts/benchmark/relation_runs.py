@@ -81,9 +81,8 @@ class RelationTask:
     @property
     def path(self) -> Path:
         """Where the record is."""
-        scene = f"{self.scene.name}-{self.scene.fingerprint}"
         name = f"{self.source}~{self.target}~{self.seed}"
-        return self.store.path(scene, f"relations-{_code()}", name)
+        return self.store.path(self.scene.key, f"relations-{_code()}", name)
 
     @property
     def group(self) -> tuple[Hashable, ...]:

@@ -65,6 +65,11 @@ class Scene:
         told = [f"{os.path.relpath(p, self.folder)} {p.stat().st_size}" for p in files]
         return hashlib.sha256("\n".join([*told, *(self.only or ())]).encode()).hexdigest()[:12]
 
+    @property
+    def key(self) -> str:
+        """A name for files that changes with the content."""
+        return f"{self.name}-{self.fingerprint}"
+
     @cached_property
     def up(self) -> Array:
         """(3,) unit vector: the mean of the cameras' -y axes that agree within 45 degrees.
@@ -109,7 +114,7 @@ class Scene:
 
     def overlaps(self, cache: Path) -> Array:
         """(n, n) true overlaps of all pairs of `names`, kept in ``cache`` by fingerprint."""
-        path = cache / "overlaps" / f"{self.name}-{self.fingerprint}.npy"
+        path = cache / "overlaps" / f"{self.key}.npy"
         if path.is_file():
             return np.asarray(np.load(path))
         poses = np.stack([self.truth[name] for name in self.names])

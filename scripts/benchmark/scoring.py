@@ -11,11 +11,10 @@ from benchmark.methods.interface import Answer, Placement
 from benchmark.pairs import Pair
 from benchmark.store import Record
 from benchmark.tasks import PairTask, SetTask
-from fewview.evaluation.calibration import expected_calibration_error, reliability
+from fewview.evaluation.calibration import calibration_of
 from fewview.evaluation.gauge import absolute_errors
 from fewview.evaluation.metrics import within
 from fewview.evaluation.pairs import score_pairs, summarise_pairs
-from fewview.types import Array
 
 Json = dict[str, Any]
 
@@ -100,8 +99,7 @@ def set_row(task: SetTask) -> Json:
     record: Record[list[Placement | None]] = task.store.read(task.path)
     placements = record.answer or [None] * len(task.names)
     truth = np.stack([task.scene.truth[name] for name in task.names])
-    poses = [p.world_T_scan if p is not None and p.component == 0 else None for p in placements]
-    errors = absolute_errors(truth, poses)
+    errors = absolute_errors(truth, task.largest())
     right = within(errors.rotation_deg, errors.translation_m)
     return {
         "scene": task.scene.name,
@@ -138,20 +136,7 @@ def summarise_sets(rows: Sequence[Json]) -> Json:
         "wrong_and_sure": sum(not s["right"] and s["probability"] > 0.5 for s in told),
         "broken": sum(row["error"] is not None for row in rows),
         "cpu_seconds": _mean(rows, "cpu_seconds"),
-        "calibration": calibration(told),
-    }
-
-
-def calibration(answers: Sequence[Json]) -> Json | None:
-    """Reliability of answers that carry a probability and whether they were right."""
-    if not answers:
-        return None
-    probability: Array = np.array([answer["probability"] for answer in answers], dtype=float)
-    right = np.array([answer["right"] for answer in answers])
-    return {
-        "count": len(answers),
-        "ece": expected_calibration_error(probability, right),
-        "bins": [vars(group) for group in reliability(probability, right)],
+        "calibration": calibration_of(told),
     }
 
 

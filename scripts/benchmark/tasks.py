@@ -17,6 +17,7 @@ from benchmark.methods.interface import Answer, PairMethod, Placement
 from benchmark.run import run
 from benchmark.scenes import Scene
 from benchmark.store import Record, Store
+from fewview.types import Array
 
 KEPT_VIEWS = 64
 """Prepared scans that a worker keeps."""
@@ -42,7 +43,7 @@ class PairTask:
     def path(self) -> Path:
         turned = "" if self.turns is None else f"~{self.turns[0]}{self.turns[1]}"
         name = f"{self.source}~{self.target}{turned}"
-        return self.store.path(_folder(self.scene), self.method.key, name)
+        return self.store.path(self.scene.key, self.method.key, name)
 
     @property
     def group(self) -> tuple[Hashable, ...]:
@@ -58,6 +59,11 @@ class PairTask:
         answer, seconds["match"] = _timed(lambda: method.match(*views))
         return Record(answer, seconds)
 
+    def answer(self) -> Answer:
+        """What is stored; without candidates where the method broke down."""
+        record: Record[Answer] = self.store.read(self.path)
+        return record.answer or Answer()
+
 
 @dataclass(frozen=True)
 class TurnsTask:
@@ -70,7 +76,7 @@ class TurnsTask:
 
     @property
     def path(self) -> Path:
-        return self.store.path(_folder(self.scene), self.method.key, f"turns-{_digest(self.names)}")
+        return self.store.path(self.scene.key, self.method.key, f"turns-{_digest(self.names)}")
 
     @property
     def group(self) -> tuple[Hashable, ...]:
@@ -93,7 +99,7 @@ class SetTask:
 
     @property
     def path(self) -> Path:
-        return self.store.path(_folder(self.scene), self.method.key, f"set-{_digest(self.names)}")
+        return self.store.path(self.scene.key, self.method.key, f"set-{_digest(self.names)}")
 
     @property
     def group(self) -> tuple[Hashable, ...]:
@@ -129,10 +135,7 @@ class SetTask:
         }
 
     def run(self) -> Record[list[Placement | None]]:
-        answers = {
-            pair: self.store.read(task.path).answer or Answer()
-            for pair, task in self.pairs().items()
-        }
+        answers = {pair: task.answer() for pair, task in self.pairs().items()}
         solve = import_module(self.method.backend).solve
 
         def frame(index: int) -> Any:
@@ -142,6 +145,12 @@ class SetTask:
             lambda: solve(self.names, frame, answers, **self.method.arguments)
         )
         return Record(placements, {"solve": seconds})
+
+    def largest(self) -> list[Array | None]:
+        """World_T_scan of the stored answer's largest component, None for scans outside it."""
+        record: Record[list[Placement | None]] = self.store.read(self.path)
+        placements = record.answer or [None] * len(self.names)
+        return [p.world_T_scan if p is not None and p.component == 0 else None for p in placements]
 
     def seconds(self) -> float:
         """CPU seconds of everything: scans once each, pairs, back-end."""
@@ -216,10 +225,6 @@ def _timed(step: Callable[[], Any]) -> tuple[Any, float]:
     start = time.process_time()
     result = step()
     return result, time.process_time() - start
-
-
-def _folder(scene: Scene) -> str:
-    return f"{scene.name}-{scene.fingerprint}"
 
 
 def _digest(names: Sequence[str]) -> str:
