@@ -39,6 +39,9 @@ class Method:
     arguments: Mapping[str, Any] = field(default_factory=dict)
     local: str | None = None
 
+    def __hash__(self) -> int:
+        return hash(self.key)
+
     def make(self) -> PairMethod:
         """The method itself; imports what it needs."""
         made: PairMethod = getattr(import_module(self.module), self.maker)(**self.arguments)
