@@ -21,6 +21,7 @@ from tests.box_rooms import box_room
 
 SIZE = LayoutNetworkConfig(width=8, point_features=4)
 PROBLEM = LayoutProblem(size=SIZE, points=256, matches=32, tilt_deg=0.0)
+EMPTY = RingScan(np.zeros((16, 64, 3), np.uint8), np.zeros((16, 64), np.float32), np.eye(4))
 
 
 def scan_of(seed: int, count: int = 256) -> ScanPoints:
@@ -138,7 +139,7 @@ def test_the_split_layer_equals_the_layer_over_both() -> None:
 
 
 def test_shapes_and_unit_descriptors(network: LayoutNetwork) -> None:
-    result = complete_layout(scan_of(1), network)
+    result = complete_layout(EMPTY, scan_of(1), network)
     assert result.probabilities.shape == (5, CELLS, CELLS)
     np.testing.assert_allclose(result.probabilities.sum(axis=0), 1.0, atol=1e-5)
     assert result.descriptors.shape == (CELLS, CELLS, 32)
@@ -158,8 +159,7 @@ def test_the_order_of_points_does_not_matter(network: LayoutNetwork) -> None:
 
 
 def test_an_empty_scan_gets_an_answer(network: LayoutNetwork) -> None:
-    ring = RingScan(np.zeros((16, 64, 3), np.uint8), np.zeros((16, 64), np.float32), np.eye(4))
-    result = complete_layout(scan_points(ring, np.random.default_rng(0), 64), network)
+    result = complete_layout(EMPTY, scan_points(EMPTY, np.random.default_rng(0), 64), network)
     assert np.isfinite(result.probabilities).all()
     assert not result.observed.any()
 

@@ -26,6 +26,7 @@ from fewview.types import (
     Array,
     CandidateOrigin,
     ColouredMesh,
+    CompletedRoom,
     CompletedScan,
     Component,
     EdgeReport,
@@ -108,6 +109,7 @@ def _completed(name: str, frame: Frame) -> CompletedScan:
         ),
         (),
         Levelling(upright, 0.9, True, -1.3),
+        CompletedRoom(np.eye(4)),
         {"xfeat": sparse, "planes": behind},
     )
 

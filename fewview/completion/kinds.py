@@ -11,6 +11,7 @@ from fewview.completion.local_geometry import DepthView
 from fewview.config import FeatureConfig
 from fewview.geometry.camera import lift
 from fewview.types import (
+    CompletedRoom,
     CompletedScan,
     Correspondences,
     FeatureSet,
@@ -28,7 +29,7 @@ MIN_DEPTHS = 2
 
 @dataclass(frozen=True)
 class ScanView:
-    """What an extractor may look at: one scan's pixels and the geometry made of them."""
+    """What an extractor may look at: one scan's pixels and what was made of them."""
 
     frame: Frame
     quarter_turns: int
@@ -36,6 +37,7 @@ class ScanView:
     surface: Surface
     patches: tuple[PlanarPatch, ...]
     levelling: Levelling
+    room: CompletedRoom
 
 
 class FeatureKind(Protocol):

@@ -9,6 +9,7 @@ from fewview.completion.levelling import level
 from fewview.completion.local_geometry import DepthView, thin_surface
 from fewview.completion.patches import find_patches
 from fewview.completion.planes import Planes
+from fewview.completion.room import NETWORKS, complete_room
 from fewview.completion.sift import Sift
 from fewview.completion.xfeat import XFeatKeypoints
 from fewview.config import FeatureConfig
@@ -32,6 +33,11 @@ def chosen_kinds(config: FeatureConfig) -> tuple[FeatureKind, ...]:
     return tuple(kind for kind in KINDS if kind.name in config.kinds)
 
 
+def asked_networks(config: FeatureConfig) -> frozenset[str]:
+    """The networks whose completion the settings make use of."""
+    return frozenset(config.kinds).intersection(NETWORKS)
+
+
 def complete(
     name: str, frame: Frame, quarter_turns: int, config: FeatureConfig, seed: int
 ) -> CompletedScan:
@@ -48,7 +54,8 @@ def complete(
     surface = thin_surface(depth, frame.colour, config.surface_voxel_m)
     surface, patches = find_patches(surface, config.max_patches, np.random.default_rng(seed))
     levelling = level(surface, patches, quarter_turns)
-    view = ScanView(frame, quarter_turns, depth, surface, patches, levelling)
+    room = complete_room(frame, levelling, asked_networks(config), config.max_depth_m, seed)
+    view = ScanView(frame, quarter_turns, depth, surface, patches, levelling, room)
     return CompletedScan(
         name=name,
         image_size=(frame.intrinsics.width, frame.intrinsics.height),
@@ -58,5 +65,6 @@ def complete(
         surface=surface,
         patches=patches,
         levelling=levelling,
+        room=room,
         features={kind.name: kind.extract(view, config) for kind in chosen_kinds(config)},
     )

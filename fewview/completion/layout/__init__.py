@@ -1,11 +1,10 @@
 """The second representation of Sec. 3.2: a scan's room from above, completed."""
 
-from fewview.completion.layout.complete import LayoutCompletion, complete_layout
+from fewview.completion.layout.complete import complete_layout
 from fewview.completion.layout.network import LayoutNetwork
 from fewview.completion.layout.points import ScanPoints, scan_points
 
 __all__ = [
-    "LayoutCompletion",
     "LayoutNetwork",
     "ScanPoints",
     "complete_layout",

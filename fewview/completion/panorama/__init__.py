@@ -1,6 +1,6 @@
 """360-image completion: a scan's surroundings on a ring of four faces (Sec. 3.2)."""
 
-from fewview.completion.panorama.complete import CompletedPanorama, complete_ring, shipped_network
+from fewview.completion.panorama.complete import complete_ring, shipped_network
 from fewview.completion.panorama.network import (
     CLASSES,
     PanoramaNetwork,
@@ -21,7 +21,6 @@ from fewview.completion.panorama.walls import scan_ring
 
 __all__ = [
     "CLASSES",
-    "CompletedPanorama",
     "PanoramaNetwork",
     "PanoramaNetworkConfig",
     "RingPrediction",

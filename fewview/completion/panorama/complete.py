@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -20,33 +19,10 @@ from fewview.completion.panorama.network import (
     ring_tensors,
 )
 from fewview.completion.panorama.ring import RingScan, unit
-from fewview.types import Array, BoolArray, FloatArray
+from fewview.types import CompletedPanorama, FloatArray
 
 NAME = "panorama"
 CONFIDENT_ERROR = 0.1
-
-
-@dataclass(frozen=True)
-class CompletedPanorama:
-    """The surroundings of one scan, seen and predicted, on the levelled ring.
-
-    Attributes:
-        depth: (S, 4 S) float32, planar, metres, positive everywhere.
-        normals: (S, 4 S, 3) float32 unit, in the ring's level frame, towards the camera.
-        semantics: (S, 4 S, 12) float32 probabilities of `network.CLASSES`.
-        descriptors: (S, 4 S, D) float32 unit.
-        confidence: (S, 4 S) float32, probability that the depth is right within ten per cent.
-        observed: (S, 4 S) where the depth was measured.
-        level_T_scan: (4, 4) into the ring's level frame.
-    """
-
-    depth: FloatArray
-    normals: FloatArray
-    semantics: FloatArray
-    descriptors: FloatArray
-    confidence: FloatArray
-    observed: BoolArray
-    level_T_scan: Array
 
 
 def complete_ring(ring: RingScan, network: PanoramaNetwork | None = None) -> CompletedPanorama:

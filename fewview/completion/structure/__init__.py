@@ -1,16 +1,12 @@
 """The third representation of Sec. 3.2: the planes of a scan's room, seen or not."""
 
 from fewview.completion.structure.complete import (
-    PlaneCompletion,
-    StructuralPlane,
     complete_planes,
     shipped_network,
 )
 from fewview.completion.structure.network import StructureNetwork, StructureNetworkConfig
 
 __all__ = [
-    "PlaneCompletion",
-    "StructuralPlane",
     "StructureNetwork",
     "StructureNetworkConfig",
     "complete_planes",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -18,7 +18,7 @@ from fewview.completion.structure.network import (
     StructureNetworkConfig,
     WallPrediction,
 )
-from fewview.types import Array, BoolArray, FloatArray
+from fewview.types import Array, BoolArray, CompletedPlanes, FloatArray, StructuralPlane
 
 NAME = "structure"
 MIN_CONFIDENCE = 0.3
@@ -27,48 +27,6 @@ ALIKE_COS = float(np.cos(np.radians(25.0)))
 MIN_SUPPORT = 30
 REFITS = 2
 RIGHT_M = 0.3
-
-
-@dataclass(frozen=True)
-class StructuralPlane:
-    """A wall, the floor or the ceiling in the level frame of the scan's ring.
-
-    Attributes:
-        kind: ``"floor"``, ``"ceiling"`` or ``"wall"``.
-        centre: (3,) predicted middle of the whole plane, on it.
-        normal: (3,) unit, into the room.
-        descriptor: (32,) unit.
-        confidence: 0..1, that there is such a plane within 0.3 m.
-        observed: whether the scan shows part of it; then normal and offset are its points'.
-    """
-
-    kind: str
-    centre: Array
-    normal: Array
-    descriptor: FloatArray
-    confidence: float
-    observed: bool
-
-
-@dataclass(frozen=True)
-class PlaneCompletion:
-    """What the network says of one scan.
-
-    Attributes:
-        planes: floor, ceiling, then walls by falling confidence.
-        normals: (n, 3) of the planes that the given points belong to, unit, level frame.
-        centres: (n, 3) of those planes, level frame.
-        semantics: (n, 12) probabilities of the classes of the 360-image network.
-        descriptors: (n, 32) unit.
-        confidence: (n,) that the centre is within 0.3 m.
-    """
-
-    planes: tuple[StructuralPlane, ...]
-    normals: FloatArray
-    centres: FloatArray
-    semantics: FloatArray
-    descriptors: FloatArray
-    confidence: FloatArray
 
 
 @cache
@@ -81,7 +39,7 @@ def shipped_network() -> StructureNetwork:
     return weights.shipped(NAME, lambda size: StructureNetwork(StructureNetworkConfig(**size)))
 
 
-def complete_planes(scan: ScanPoints, network: StructureNetwork | None = None) -> PlaneCompletion:
+def complete_planes(scan: ScanPoints, network: StructureNetwork | None = None) -> CompletedPlanes:
     """Predict the structural planes around a scan.
 
     Args:
@@ -100,7 +58,7 @@ def complete_planes(scan: ScanPoints, network: StructureNetwork | None = None) -
     height = 0.5 * (floor.centre[2] + ceiling.centre[2])
     upright = _walls(scan, WallPrediction(*(t.cpu() for t in walls)), height)
     wall_R_level = scan.wall_R_level
-    return PlaneCompletion(
+    return CompletedPlanes(
         planes=tuple(_turned_plane(p, wall_R_level) for p in (floor, ceiling, *upright)),
         normals=points.normal[0].cpu().numpy() @ wall_R_level,
         centres=(scan.points + points.offset[0].cpu().numpy()) @ wall_R_level,

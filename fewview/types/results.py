@@ -1,0 +1,147 @@
+"""Answers: poses, components, meshes, and who watches them being made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fewview.types.arrays import Array, IntArray
+from fewview.types.completed import CompletedScan
+from fewview.types.pairs import PairResult
+from fewview.types.scans import Frame, ScanSet
+
+
+@dataclass(frozen=True)
+class EdgeReport:
+    """A selected candidate in the pose graph: its robust weight and its error (m, rad), before
+    (graph initialised from the discrete stage) and after optimisation."""
+
+    source: int
+    target: int
+    rank: int
+    weight: float
+    before_m: float
+    after_m: float
+    before_rad: float
+    after_rad: float
+
+
+@dataclass(frozen=True)
+class ScanPlacement:
+    """Where a scan ended up; without a pose it was not placed, and `reason` says why."""
+
+    name: str
+    component: int | None
+    world_T_scan: Array | None
+    probability: float
+    reason: str | None
+
+    @property
+    def placed(self) -> bool:
+        return self.world_T_scan is not None
+
+
+@dataclass(frozen=True)
+class Component:
+    """A set of scans that share one world frame.
+
+    Attributes:
+        scans: their indices, ascending.
+        world: ``"floor"`` (z up, floor at z = 0) or ``"gravity"`` (first scan's position, z up).
+        nearest_link: the best rejected candidate that would have joined it to another component,
+            as text, or None.
+    """
+
+    scans: tuple[int, ...]
+    world: str
+    nearest_link: str | None = None
+
+
+@dataclass(frozen=True)
+class GlobalSolution:
+    """The answer of the global stage.
+
+    Attributes:
+        placements: one per scan, in the order of the scans.
+        components: largest first.
+        selected: (source, target) -> rank of the chosen candidate; absent means none.
+        initial_world_T_scan: poses before the pose graph, same gauge as the placements.
+        edges: one per selected candidate.
+    """
+
+    placements: tuple[ScanPlacement, ...]
+    components: tuple[Component, ...]
+    selected: Mapping[tuple[int, int], int]
+    initial_world_T_scan: Mapping[int, Array]
+    edges: tuple[EdgeReport, ...]
+
+    @property
+    def headline(self) -> str:
+        """How many scans share one world, and of how many components that is the largest."""
+        count = len(self.components)
+        largest = len(self.components[0].scans) if count else 0
+        where = "placed" if count < 2 else f"in the largest of {count} components"
+        return f"{largest} of {len(self.placements)} scans {where}"
+
+
+@dataclass(frozen=True)
+class ColouredMesh:
+    """A triangle mesh: vertices (n, 3) float64 metres, faces (m, 3) int64, colours (n, 3) uint8."""
+
+    vertices: Array
+    faces: IntArray
+    colours: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """The whole result of a run.
+
+    Attributes:
+        scans: what was read.
+        completed: one per scan, same order.
+        pairs: one per unordered pair, source < target.
+        solution: poses and components.
+        meshes: one per component, same order.
+        timings_s: wall seconds per stage.
+        seed: the run's seed.
+        config_hash: fingerprint of the settings.
+    """
+
+    scans: ScanSet
+    completed: tuple[CompletedScan, ...]
+    pairs: tuple[PairResult, ...]
+    solution: GlobalSolution
+    meshes: tuple[ColouredMesh, ...]
+    timings_s: Mapping[str, float]
+    seed: int
+    config_hash: str
+
+
+class Observer(Protocol):
+    """Watches a run without being able to change it: progress bars, the recording.
+
+    Methods are called from one thread, scans and pairs in index order.
+    """
+
+    def started(self, scans: ScanSet) -> None:
+        """The folder was read; nothing was computed yet."""
+
+    def scan_completed(self, index: int, frame: Frame, completed: CompletedScan) -> None:
+        """The features of one scan are known."""
+
+    def pair_matched(self, result: PairResult) -> None:
+        """One pair has its candidates."""
+
+    def solved(self, solution: GlobalSolution) -> None:
+        """The global stage has decided."""
+
+    def mesh_fused(self, component: int, mesh: ColouredMesh) -> None:
+        """The mesh of one component is done."""
+
+    def finished(self, timings_s: Mapping[str, float]) -> None:
+        """Everything is done; wall seconds per stage."""
