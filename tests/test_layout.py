@@ -13,10 +13,10 @@ from fewview.completion.layout.network import LayoutNetwork, LayoutNetworkConfig
 from fewview.completion.layout.pointnet import PointBatch, SplitLinear
 from fewview.completion.layout.points import ScanPoints, about_vertical, scan_points
 from fewview.completion.layout.pooling import BINS, heights_over, pooled, seen_through
-from fewview.completion.panorama.ring import RingScan
 from fewview.geometry import se3
 from fewview.training.cell_matches import match_loss, match_recall
 from fewview.training.layout import LayoutProblem, calibration_error, figures, turned_layout
+from fewview.types import RingScan
 from tests.box_rooms import box_room
 
 SIZE = LayoutNetworkConfig(width=8, point_features=4)

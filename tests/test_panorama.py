@@ -17,7 +17,6 @@ from fewview.completion.panorama import (
     CLASSES,
     PanoramaNetwork,
     PanoramaNetworkConfig,
-    RingScan,
     complete_ring,
     heading_frame,
     network_input,
@@ -30,7 +29,7 @@ from fewview.completion.panorama.walls import scan_ring, wall_azimuth
 from fewview.errors import FewviewError
 from fewview.geometry import se3
 from fewview.training.panorama import along_walls
-from fewview.types import Intrinsics
+from fewview.types import Intrinsics, RingScan
 
 SIZE = 64
 TINY = PanoramaNetworkConfig(width=16, descriptor=8)

@@ -41,6 +41,7 @@ from fewview.types import (
     PairStatus,
     PoseCandidate,
     Representation,
+    RingScan,
     Scan,
     ScanPlacement,
     ScanSet,
@@ -48,6 +49,7 @@ from fewview.types import (
 )
 
 CAMERA = Intrinsics(400, 300, 300.0, 300.0, 199.5, 149.5)
+EMPTY_RING = RingScan(np.zeros((64, 256, 3), np.uint8), np.zeros((64, 256), np.float32), np.eye(4))
 NAMES = ("room-0", "room 1/a|b *x*", "room-2", "room-3", "room-4")
 UNPLACED = 4
 REASON = "no pair with another scan is believable"
@@ -109,7 +111,7 @@ def _completed(name: str, frame: Frame) -> CompletedScan:
         ),
         (),
         Levelling(upright, 0.9, True, -1.3),
-        CompletedRoom(np.eye(4)),
+        CompletedRoom(EMPTY_RING),
         {"xfeat": sparse, "planes": behind},
     )
 

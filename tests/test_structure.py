@@ -10,7 +10,6 @@ import torch
 
 from fewview.completion.layout.pointnet import PointBatch
 from fewview.completion.layout.points import ScanPoints, scan_points
-from fewview.completion.panorama.ring import RingScan
 from fewview.completion.structure import anchors
 from fewview.completion.structure.complete import complete_planes, snapped
 from fewview.completion.structure.network import (
@@ -25,6 +24,7 @@ from fewview.training.point_batches import given
 from fewview.training.problem import Batch
 from fewview.training.structure import StructureProblem
 from fewview.training.structure_targets import plane_truth, wall_slots
+from fewview.types import RingScan
 from tests.box_rooms import EYE_M, HEIGHT_M, box_room
 
 SIZE = StructureNetworkConfig(local=16, whole=32, sector=32)

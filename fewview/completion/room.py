@@ -33,7 +33,7 @@ def complete_room(
     ring = panorama.scan_ring(depth, frame.colour, frame.intrinsics, up)
     points = layout.scan_points(ring, np.random.default_rng(seed))
     return CompletedRoom(
-        ring.level_T_scan,
+        ring,
         panorama.complete_ring(ring) if "panorama" in networks else None,
         layout.complete_layout(ring, points) if "layout" in networks else None,
         structure.complete_planes(points) if "structure" in networks else None,

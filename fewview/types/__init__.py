@@ -37,6 +37,7 @@ from fewview.types.rooms import (
     CompletedPanorama,
     CompletedPlanes,
     CompletedRoom,
+    RingScan,
     StructuralPlane,
 )
 from fewview.types.scans import Frame, FrameSource, Intrinsics, Scan, ScanSet
@@ -70,6 +71,7 @@ __all__ = [
     "PoseCandidate",
     "Reconstruction",
     "Representation",
+    "RingScan",
     "Scales",
     "Scan",
     "ScanPlacement",

@@ -4,7 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fewview.types.arrays import Array, BoolArray, FloatArray
+
+
+@dataclass(frozen=True)
+class RingScan:
+    """What one scan shows of its surroundings, on a levelled ring of four faces of S x S pixels.
+
+    Attributes:
+        colour: (S, 4 S, 3) uint8 RGB, 0 where nothing was measured.
+        depth: (S, 4 S) float32, planar, metres, 0 where nothing was measured.
+        level_T_scan: (4, 4).
+    """
+
+    colour: NDArray[np.uint8]
+    depth: FloatArray
+    level_T_scan: Array
 
 
 @dataclass(frozen=True)
@@ -95,15 +113,20 @@ class CompletedPlanes:
 
 @dataclass(frozen=True)
 class CompletedRoom:
-    """What the networks say of the room around a scan; None where one was not asked.
+    """The room around a scan: what it shows, and what each network that was asked makes of it.
 
     Attributes:
-        level_T_scan: (4, 4) into the level frame of the panorama and the planes: camera at the
-            origin, z up, axes along the walls that the scan shows.
-        panorama, layout, planes: the three representations.
+        ring: the scan itself, along the walls that it shows.
+        panorama, layout, planes: the three representations, None where the network was not asked.
     """
 
-    level_T_scan: Array
+    ring: RingScan
     panorama: CompletedPanorama | None = None
     layout: CompletedLayout | None = None
     planes: CompletedPlanes | None = None
+
+    @property
+    def level_T_scan(self) -> Array:
+        """(4, 4) into the level frame of ring, panorama and planes: camera at the origin, z up,
+        axes along the walls that the scan shows."""
+        return self.ring.level_T_scan

@@ -11,9 +11,8 @@ from fewview import weights
 from fewview.completion.layout.network import LayoutNetwork, LayoutNetworkConfig, LayoutOutput
 from fewview.completion.layout.pointnet import PointBatch
 from fewview.completion.layout.points import ScanPoints
-from fewview.completion.panorama.ring import RingScan
 from fewview.geometry import se3
-from fewview.types import Array, CompletedLayout, FloatArray
+from fewview.types import Array, CompletedLayout, FloatArray, RingScan
 
 NAME = "layout"
 

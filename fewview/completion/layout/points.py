@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fewview.completion.layout.grid import field_of_view
-from fewview.completion.panorama.ring import RingScan, ring_points, ring_rays
+from fewview.completion.panorama.ring import ring_points, ring_rays
 from fewview.completion.panorama.walls import seen_normals, wall_azimuth
 from fewview.geometry import se3
-from fewview.types import Array, BoolArray, FloatArray, IntArray
+from fewview.types import Array, BoolArray, FloatArray, IntArray, RingScan
 
 POINTS = 2048
 QUARTER = 0.5 * np.pi

@@ -9,7 +9,6 @@ from fewview.completion.panorama.network import (
     network_input,
 )
 from fewview.completion.panorama.ring import (
-    RingScan,
     heading_frame,
     project_scan,
     ring_normals,
@@ -24,7 +23,6 @@ __all__ = [
     "PanoramaNetwork",
     "PanoramaNetworkConfig",
     "RingPrediction",
-    "RingScan",
     "complete_ring",
     "heading_frame",
     "network_input",

@@ -18,8 +18,8 @@ from fewview.completion.panorama.network import (
     RingPrediction,
     ring_tensors,
 )
-from fewview.completion.panorama.ring import RingScan, unit
-from fewview.types import CompletedPanorama, FloatArray
+from fewview.completion.panorama.ring import unit
+from fewview.types import CompletedPanorama, FloatArray, RingScan
 
 NAME = "panorama"
 CONFIDENT_ERROR = 0.1

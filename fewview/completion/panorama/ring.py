@@ -8,7 +8,6 @@ metres, 0 where unknown; it is continuous over the seams.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -19,7 +18,7 @@ from torch import Tensor
 
 from fewview.geometry import se3
 from fewview.geometry.camera import backproject
-from fewview.types import Array, BoolArray, FloatArray, IntArray, Intrinsics
+from fewview.types import Array, BoolArray, FloatArray, IntArray, Intrinsics, RingScan
 
 FACES = 4
 AZIMUTHS = np.radians([90.0, 0.0, -90.0, 180.0])
@@ -28,21 +27,6 @@ RIGHT = np.round(np.stack([np.sin(AZIMUTHS), -np.cos(AZIMUTHS), 0 * AZIMUTHS], a
 UP = np.array([0.0, 0.0, 1.0])
 SAME_SURFACE = 1.05
 JUMP = 0.02
-
-
-@dataclass(frozen=True)
-class RingScan:
-    """What one scan shows of its surroundings.
-
-    Attributes:
-        colour: (S, 4 S, 3) uint8 RGB, 0 where nothing was measured.
-        depth: (S, 4 S) float32, planar, metres, 0 where nothing was measured.
-        level_T_scan: (4, 4).
-    """
-
-    colour: NDArray[np.uint8]
-    depth: FloatArray
-    level_T_scan: Array
 
 
 def heading_frame(up: Array) -> Array:

@@ -12,7 +12,6 @@ import torch
 from numpy.typing import NDArray
 
 from fewview.completion.panorama.ring import (
-    RingScan,
     heading_frame,
     project_scan,
     ring_normals,
@@ -20,7 +19,7 @@ from fewview.completion.panorama.ring import (
     ring_rays,
 )
 from fewview.geometry import se3
-from fewview.types import Array, BoolArray, FloatArray, IntArray, Intrinsics
+from fewview.types import Array, BoolArray, FloatArray, IntArray, Intrinsics, RingScan
 
 MIN_PIXELS = 30
 MIN_SHARE = 0.4
