@@ -34,18 +34,25 @@ class Bin:
 
 def reliability(probability: Array, right: BoolArray, bins: int = 10) -> tuple[Bin, ...]:
     """Group (n,) probabilities into equal intervals of 0..1; empty intervals are left out."""
+    return bins_of(reliability_counts(probability, right, bins))
+
+
+def reliability_counts(probability: Array, right: BoolArray, bins: int = 10) -> Array:
+    """(bins, 3) number of answers, their summed probability, and how many of them were right.
+
+    Those of several sets of answers add up; see `reliability` and `bins_of`.
+    """
     index = np.minimum((probability * bins).astype(np.int64), bins - 1)
-    groups = [(b, index == b) for b in range(bins)]
+    columns = (np.ones(len(index)), probability, right)
+    return np.stack([np.bincount(index, c, bins) for c in columns], axis=1)
+
+
+def bins_of(counts: Array) -> tuple[Bin, ...]:
+    """The intervals of `reliability_counts` that have answers."""
     return tuple(
-        Bin(
-            b / bins,
-            (b + 1) / bins,
-            int(members.sum()),
-            float(probability[members].mean()),
-            float(right[members].mean()),
-        )
-        for b, members in groups
-        if members.any()
+        Bin(b / len(counts), (b + 1) / len(counts), int(count), total / count, right / count)
+        for b, (count, total, right) in enumerate(counts.tolist())
+        if count
     )
 
 

@@ -15,6 +15,8 @@ from fewview.completion.layout.complete import observed_cells
 from fewview.completion.layout.grid import CLASSES, FREE, UNKNOWN, WALL, cell_centres, cells_of
 from fewview.completion.layout.network import LayoutNetwork, LayoutNetworkConfig, LayoutOutput
 from fewview.completion.layout.points import POINTS
+from fewview.evaluation.calibration import expected_calibration_error
+from fewview.evaluation.segmentation import confusion, ious, mean_iou
 from fewview.training import losses
 from fewview.training.cell_matches import cell_matches, match_loss, match_recall
 from fewview.training.point_batches import given, room_points
@@ -128,14 +130,15 @@ def figures(answer: Tensor, truth: Tensor, hidden: Tensor) -> dict[str, float]:
         ``free_iou`` and ``wall_iou`` among them, and of walls, the share of true ones within a
         cell of a predicted one (``wall_recall``) and the other way round (``wall_precision``).
     """
-    ious = [_iou(answer == c, truth == c, hidden) for c in range(len(CLASSES))]
-    present = [iou for c, iou in enumerate(ious) if bool(((truth == c) & hidden).any())]
+    where = hidden.cpu().numpy()
+    counts = confusion(truth.cpu().numpy()[where], answer.cpu().numpy()[where], len(CLASSES))
+    of_class = np.nan_to_num(ious(counts))
     wall, true_wall = answer == WALL, truth == WALL
     return {
         "accuracy": _mean(answer == truth, hidden),
-        "iou": float(np.mean(present)) if present else 0.0,
-        "free_iou": ious[FREE],
-        "wall_iou": ious[WALL],
+        "iou": mean_iou(counts) if hidden.any() else 0.0,
+        "free_iou": float(of_class[FREE]),
+        "wall_iou": float(of_class[WALL]),
         "wall_recall": _mean(_grown(wall), true_wall & hidden),
         "wall_precision": _mean(_grown(true_wall), wall & hidden),
     }
@@ -151,17 +154,11 @@ def cell_prior(truth: Tensor, room: Tensor) -> Tensor:
     return total / total.sum(dim=1, keepdim=True)
 
 
-def calibration_error(chance: Tensor, truth: Tensor, where: Tensor, bins: int = 10) -> float:
+def calibration_error(chance: Tensor, truth: Tensor, where: Tensor) -> float:
     """Expected calibration error of the most probable class (Guo et al., ICML 2017, eq. 3)."""
     confidence, answer = chance.max(dim=1)
-    confidence, right = confidence[where], (answer == truth)[where].float()
-    number = (confidence * bins).long().clamp(max=bins - 1)
-    gap = torch.zeros(bins, device=chance.device).index_add(0, number, confidence - right)
-    return float(gap.abs().sum() / max(1, right.numel()))
-
-
-def _iou(a: Tensor, b: Tensor, where: Tensor) -> float:
-    return float((a & b & where).sum() / ((a | b) & where).sum().clamp(min=1))
+    right = (answer == truth)[where]
+    return expected_calibration_error(confidence[where].cpu().numpy(), right.cpu().numpy())
 
 
 def _mean(values: Tensor, where: Tensor) -> float:

@@ -21,6 +21,7 @@ from fewview.completion.panorama.network import (
     network_input,
 )
 from fewview.completion.panorama.ring import unit
+from fewview.evaluation.segmentation import confusion, mean_iou
 from fewview.geometry import se3
 from fewview.training import contrastive, losses
 from fewview.training.problem import Batch
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 STACKED = ("colour", "depth", "normal", "semantics", "observed", "measured")
 GREY = 127
+MOST_LOG_ERROR = 2.0
 
 
 @dataclass(frozen=True)
@@ -41,8 +43,10 @@ class PanoramaProblem:
     """Of the network."""
     depth_likelihood: float = 0.2
     """Of the Laplace likelihood of the logarithm of the depth."""
-    depth_l1: float = 1.0
+    depth_l1: float = 0.5
     """Of the absolute error of the logarithm of the depth."""
+    depth_relative: float = 0.5
+    """Of the relative error of the depth."""
     normal: float = 1.0
     """Of the normals' cosine and absolute error."""
     semantics: float = 0.3
@@ -92,6 +96,8 @@ class PanoramaProblem:
             "depth_likelihood": self.depth_likelihood
             * losses.weighted_mean(losses.laplace(error, answer.log_scale), weight),
             "depth_l1": self.depth_l1 * losses.weighted_mean(error, weight),
+            "depth_relative": self.depth_relative
+            * losses.weighted_mean(_relative_error(answer.log_depth, batch["depth"]), weight),
             "normal": self.normal * losses.weighted_mean(normal, weight),
             "semantics": self.semantics * losses.semantics(answer.semantics, labels, classes),
             "descriptor": self.descriptor * _contrast(answer.descriptor, batch),
@@ -166,12 +172,14 @@ def _geometry_figures(answer: RingPrediction, batch: Batch, pixels: Tensor) -> d
 def _mean_iou(logits: Tensor, truth: Tensor, pixels: Tensor) -> float:
     """Intersection over union, averaged over the classes that occur in the truth."""
     guess = logits[:, 1:].argmax(dim=1) + 1
-    labels, where = truth[:, ::COARSE, ::COARSE].long(), pixels[:, ::COARSE, ::COARSE]
-    table = torch.bincount(len(CLASSES) * labels[where] + guess[where], minlength=len(CLASSES) ** 2)
-    counts = table.reshape(len(CLASSES), len(CLASSES)).double()[1:]
-    hit = counts[:, 1:].diagonal()
-    union = counts.sum(dim=1) + counts[:, 1:].sum(dim=0) - hit
-    return float((hit / union)[counts.sum(dim=1) > 0].mean())
+    labels, where = truth[:, ::COARSE, ::COARSE], pixels[:, ::COARSE, ::COARSE]
+    counts = confusion(labels[where].cpu().numpy(), guess[where].cpu().numpy(), len(CLASSES))
+    counts[0] = 0
+    return mean_iou(counts)
+
+
+def _relative_error(log_depth: Tensor, depth: Tensor) -> Tensor:
+    return ((log_depth - _log(depth)).clamp(max=MOST_LOG_ERROR).exp() - 1.0).abs()
 
 
 def _log(depth: Tensor) -> Tensor:
