@@ -8,6 +8,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from fewview.alignment import Embedded, draw, embed
 from fewview.matching.manhattan import TopDown, top_down
 from fewview.types import Array, BoolArray, CompletedScan, FloatArray
 
@@ -25,6 +26,7 @@ class PreparedScan:
         sample_upright: (n,) which of these lie on upright faces.
         depth_min, depth_max: (h, w) smallest and largest valid depth in 3 x 3 pixels, 0 unknown.
         raster: its top-down rasters.
+        above: its completed room drawn and embedded from above; None without a completed layout.
     """
 
     scan: CompletedScan
@@ -34,6 +36,7 @@ class PreparedScan:
     depth_min: FloatArray
     depth_max: FloatArray
     raster: TopDown
+    above: Embedded | None
 
 
 def prepare(scan: CompletedScan, sample: int = 1000) -> PreparedScan:
@@ -42,7 +45,11 @@ def prepare(scan: CompletedScan, sample: int = 1000) -> PreparedScan:
     chosen = slice(None, None, max(1, len(points) // sample))
     upright = np.abs(scan.surface.normals[chosen] @ scan.levelling.level_R_scan[2]) < UPRIGHT_COS
     low, high = _depth_bounds(scan.depth)
-    return PreparedScan(scan, cKDTree(points), points[chosen], upright, low, high, top_down(scan))
+    layout = scan.room.layout
+    above = None if layout is None else embed(draw(scan.room.ring, layout))
+    return PreparedScan(
+        scan, cKDTree(points), points[chosen], upright, low, high, top_down(scan), above
+    )
 
 
 def _depth_bounds(depth: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -12,6 +12,7 @@ from fewview.geometry import se3
 from fewview.geometry.camera import project
 from fewview.matching.consistency import CandidateMatches
 from fewview.matching.prepared import PreparedScan
+from fewview.refinement.room_evidence import room_evidence
 from fewview.types import (
     Array,
     BoolArray,
@@ -81,6 +82,8 @@ def gather(
     columns["raster"] = columns["manhattan"] * scores / 100.0
     for name in ("overlap", "upright", "violation", "looseness", "colour"):
         columns[f"alone_{name}"] = geometry_alone * columns[name]
+    for name, values in room_evidence(source, target, poses).items():
+        columns |= {name: values, f"alone_{name}": geometry_alone * values}
     return [
         Evidence(
             float(surface.residual_m[k]),

@@ -16,9 +16,11 @@ if TYPE_CHECKING:
 
 Batch = dict[str, Tensor]
 PROBLEMS: Mapping[str, tuple[str, str]] = {
+    "aligner": ("fewview.training.aligner", "AlignerProblem"),
     "layout": ("fewview.training.layout", "LayoutProblem"),
     "panorama": ("fewview.training.panorama", "PanoramaProblem"),
     "structure": ("fewview.training.structure", "StructureProblem"),
+    "verifier": ("fewview.training.verifier", "VerifierProblem"),
 }
 """Name -> module and class."""
 

@@ -46,17 +46,20 @@ def load(name: str, folder: Path = FOLDER) -> tuple[dict[str, Tensor], dict[str,
         raise FewviewError(f"{data_path}: is damaged; reinstall fewview") from error
 
 
-def shipped(name: str, make: Callable[[Mapping[str, Any]], Network]) -> Network:
+def shipped(
+    name: str, make: Callable[[Mapping[str, Any]], Network], folder: Path = FOLDER
+) -> Network:
     """A network with the weights that come with the package, ready to predict.
 
     Args:
         name: of the weights.
         make: builds the network from the sizes that its card holds.
+        folder: where the weights are, when they are not those of the package.
 
     Raises:
         FewviewError: the weights are missing or damaged.
     """
-    state, card = load(name)
+    state, card = load(name, folder)
     network = make(card["config"]["settings"]["size"])
     network.load_state_dict(state)
     return network.eval()

@@ -1,0 +1,144 @@
+"""The aligner as a training problem: where one view of a room lies in another's drawing."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from fewview.alignment import AlignerNetwork, AlignerNetworkConfig, planar_motion
+from fewview.alignment.align import MAX_YAW, QUARTER
+from fewview.alignment.network import GRID, STEP_M, YAWS, shifts
+from fewview.training.drawn_rooms import drawn_rooms
+from fewview.training.problem import Batch
+
+if TYPE_CHECKING:
+    from fewview.synthetic.samples import RoomSample
+
+APART = 0.1
+TOP = 5
+
+
+@dataclass(frozen=True)
+class AlignerProblem:
+    """Find the yaw and the shift between all views of a room."""
+
+    size: AlignerNetworkConfig = field(default_factory=AlignerNetworkConfig)
+    """Of the network."""
+    layout: str = ""
+    """Folder of the layout network's weights, empty for the shipped ones."""
+    tilt_deg: float = 1.0
+    """Standard deviation of the error of the level frame about each horizontal axis."""
+    blur_m: float = 0.15
+    """Standard deviation of the shift that is taught as true."""
+    apart: float = 2.0
+    """What pairs count that share less than a tenth of their surface, against others."""
+    name: str = "aligner"
+    """Of the weights."""
+
+    def network(self) -> nn.Module:
+        return AlignerNetwork(self.size)
+
+    def batch(self, rooms: Sequence[RoomSample], rng: np.random.Generator) -> Batch:
+        """``drawing`` (B, CHANNELS, CELLS, CELLS); all ordered pairs of views of the same room:
+        ``source``, ``target`` (P,); ``yaw`` (P,) true quarter turns, ``shift`` (P, 2) metres,
+        ``apart`` (P,) whether they share hardly any surface, ``away`` (P,) the quarter turns that
+        make the cameras face away from each other. Pairs whose walls are not parallel or that are
+        out of reach are left out."""
+        drawn = drawn_rooms(rooms, self.layout, self.tilt_deg, rng)
+        groups = np.split(np.arange(len(drawn.drawings)), np.cumsum([len(r.depth) for r in rooms]))
+        pairs = [pair for group in groups for pair in itertools.permutations(group, 2)]
+        true = [
+            planar_motion(drawn.drawings[a], drawn.drawings[b], drawn.target_T_source(a, b)[None])
+            for a, b in pairs
+        ]
+        motion, index = np.concatenate(true), np.array(pairs)
+        turns = np.rint(motion[:, 0] / QUARTER)
+        usable = np.abs(motion[:, 0] - turns * QUARTER) < MAX_YAW
+        usable &= (np.abs(motion[:, 1:]) < (GRID - 1) * STEP_M).all(axis=1)
+        heading = np.array([_heading(d.level_T_scan) for d in drawn.drawings])
+        away = heading[index[:, 1]] + np.pi - heading[index[:, 0]]
+        apart = np.array([drawn.shared(a, b) < APART for a, b in pairs])
+        columns = {
+            "source": index[:, 0],
+            "target": index[:, 1],
+            "yaw": turns.astype(np.int64) % YAWS,
+            "shift": motion[:, 1:],
+            "apart": apart,
+            "away": np.rint(away / QUARTER).astype(np.int64) % YAWS,
+        }
+        kept = {name: torch.from_numpy(values[usable]) for name, values in columns.items()}
+        return {"drawing": torch.from_numpy(np.stack([d.channels for d in drawn.drawings])), **kept}
+
+    def losses(self, network: nn.Module, batch: Batch) -> dict[str, Tensor]:
+        """The cross-entropy of the true pose."""
+        logits = _logits(network, batch)
+        log_chance = logits.flatten(1).log_softmax(dim=1).view_as(logits)
+        log_chance = log_chance[torch.arange(len(logits)), batch["yaw"]]
+        at = shifts().to(logits.device)
+        along = [_blurred(batch["shift"][:, axis, None] - at, self.blur_m) for axis in (0, 1)]
+        taught = along[0][:, :, None] * along[1][:, None, :]
+        loss = -(taught * log_chance).sum(dim=(1, 2))
+        weight = torch.where(batch["apart"], self.apart, 1.0)
+        return {"pose": (loss * weight).sum() / weight.sum()}
+
+    def metrics(self, network: nn.Module, batch: Batch) -> dict[str, float]:
+        """Mean error of the yaw, median error of the shift, and share within 0.3 m of the first
+        pose and of the best of the first five; beside cameras facing away."""
+        logits = _logits(network, batch)
+        wrong = 90.0 * _between(torch.arange(YAWS)[None], batch["yaw"][:, None]).float()
+        first, found = _peaks(logits)
+        yaw_error = wrong.gather(1, first)
+        error = (found - batch["shift"][:, None]).norm(dim=-1)
+        right_yaw = yaw_error == 0
+        joint = torch.where(right_yaw, error, 9.0)
+        away = wrong.gather(1, batch["away"][:, None])[:, 0]
+        out: dict[str, float] = {}
+        for part, where in (("apart", batch["apart"]), ("sharing", ~batch["apart"])):
+            if not bool(where.any()):
+                continue
+            out[f"{part}_away_deg"] = float(away[where].mean())
+            for name, count in (("top1", 1), (f"top{TOP}", TOP)):
+                best = joint[where, :count].amin(dim=1)
+                out[f"{part}_{name}_deg"] = float(yaw_error[where, :count].amin(dim=1).mean())
+                out[f"{part}_{name}_m"] = float(error[where, :count].amin(dim=1).median())
+                out[f"{part}_{name}_right"] = float((best < 0.3).float().mean())
+                out[f"{part}_{name}_near"] = float((best < 0.6).float().mean())
+        return out
+
+
+def _logits(network: nn.Module, batch: Batch) -> Tensor:
+    aligner = cast(AlignerNetwork, network)
+    spectra = aligner(batch["drawing"])
+    return aligner.logits(spectra.source[batch["source"]], spectra.target[batch["target"]])
+
+
+def _peaks(logits: Tensor) -> tuple[Tensor, Tensor]:
+    """Yaws (P, TOP) and shifts (P, TOP, 2) of the highest maxima."""
+    pooled = nn.functional.max_pool2d(logits, 5, stride=1, padding=2)
+    flat = logits.masked_fill(logits < pooled, -torch.inf).flatten(1).topk(TOP, dim=1).indices
+    size = logits.shape[-1]
+    at = shifts().to(logits.device)
+    places = torch.stack([at[flat // size % size], at[flat % size]], dim=-1)
+    return flat // size**2, places
+
+
+def _blurred(distance: Tensor, blur: float) -> Tensor:
+    weight = torch.exp(-0.5 * (distance / blur) ** 2)
+    return weight / weight.sum(dim=1, keepdim=True).clamp_min(1e-9)
+
+
+def _between(a: Tensor, b: Tensor) -> Tensor:
+    """Quarter turns from one to the other, 0, 1 or 2."""
+    turns = (a - b) % YAWS
+    return torch.minimum(turns, YAWS - turns)
+
+
+def _heading(level_T_scan: np.ndarray) -> float:
+    """Azimuth of the x axis of a level frame in the grid's."""
+    return float(np.arctan2(level_T_scan[1, 0], level_T_scan[0, 0]))

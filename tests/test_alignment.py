@@ -1,0 +1,79 @@
+"""The aligner: correlations over yaws and shifts, and the poses that it answers with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from fewview.alignment import AlignerNetwork, AlignerNetworkConfig, Alignment, Embedded, pose_of
+from fewview.alignment.align import NEVER
+from fewview.alignment.drawing import CHANNELS, Drawing
+from fewview.alignment.network import GRID, SHIFTS, STEP_M, YAWS, Spectra, shifts
+from fewview.completion.layout.grid import CELLS
+from fewview.geometry import se3
+
+EMPTY = Drawing(np.zeros((CHANNELS, CELLS, CELLS), np.float32), np.eye(4), -1.4)
+
+
+@pytest.fixture(scope="module")
+def network() -> AlignerNetwork:
+    torch.manual_seed(0)
+    return AlignerNetwork(AlignerNetworkConfig(width=8, channels=2)).eval()
+
+
+def embedded(spot: tuple[int, int]) -> Embedded:
+    """An embedding that is one at a cell and zero elsewhere, the same for every yaw."""
+    maps = torch.zeros(1, YAWS, 1, GRID, GRID)
+    maps[..., spot[0], spot[1]] = 100.0
+    turned = torch.stack([torch.rot90(maps[:, k], k, (2, 3)) for k in range(YAWS)], dim=1)
+    size = (SHIFTS, SHIFTS)
+    return Embedded(
+        EMPTY, Spectra(torch.fft.rfft2(turned, size), torch.fft.rfft2(maps[:, 0], size))
+    )
+
+
+def test_shifts_count_back_beyond_half() -> None:
+    at = shifts()
+    assert float(at[1]) == -STEP_M
+    assert float(at[-1]) == STEP_M
+
+
+def test_the_logit_of_a_shift_is_the_sum_of_products(network: AlignerNetwork) -> None:
+    maps = torch.randn(2, 3, GRID, GRID)
+    size = (SHIFTS, SHIFTS)
+    source = torch.fft.rfft2(maps[:1, None].expand(-1, YAWS, -1, -1, -1), size)
+    logits = network.logits(source, torch.fft.rfft2(maps[1:], size)) / network.log_scale.exp()
+    by_hand = (maps[0, :, :-2, 5:] * maps[1, :, 2:, :-5]).sum()
+    torch.testing.assert_close(logits[0, 0, 2, SHIFTS - 5], by_hand, rtol=1e-3, atol=1e-2)
+
+
+def test_the_best_pose_lays_the_spots_over_each_other(network: AlignerNetwork) -> None:
+    source, target = embedded((10, 12)), embedded((14, 9))
+    poses = Alignment(source, target, network).best(8)
+    assert (np.diff(poses.log_mass) <= 1e-6).all()
+    turn, shift = se3.distance(
+        poses.target_T_source[:YAWS], pose_of(EMPTY, EMPTY, 0.0, -STEP_M * np.array([4, -3]))
+    )
+    assert (turn < 1e-6).sum() == 1
+    assert shift[turn < 1e-6][0] < 0.3 * STEP_M
+
+
+def test_the_probability_around_a_proposed_pose_is_its_own(network: AlignerNetwork) -> None:
+    alignment = Alignment(embedded((10, 12)), embedded((14, 9)), network)
+    poses = alignment.best(4)
+    np.testing.assert_allclose(alignment.log_mass(poses.target_T_source), poses.log_mass, atol=0.3)
+    assert alignment.mass.sum() == pytest.approx(9.0, abs=0.01)
+
+
+def test_poses_out_of_reach_and_oblique_ones_are_impossible(network: AlignerNetwork) -> None:
+    alignment = Alignment(embedded((10, 12)), embedded((14, 9)), network)
+    far = pose_of(EMPTY, EMPTY, 0.0, np.array([9.0, 0.0]))
+    oblique = pose_of(EMPTY, EMPTY, 0.6, np.zeros(2))
+    np.testing.assert_array_equal(alignment.log_mass(np.stack([far, oblique])), NEVER)
+
+
+def test_embeddings_of_drawings(network: AlignerNetwork) -> None:
+    spectra = network(torch.rand(2, CHANNELS, CELLS, CELLS))
+    assert spectra.source.shape == (2, YAWS, 2, SHIFTS, SHIFTS // 2 + 1)
+    assert network.logits(spectra.source, spectra.target).shape == (2, YAWS, SHIFTS, SHIFTS)
