@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fewview.completion import chosen_kinds
+from fewview.completion import OBSERVED_KINDS, chosen_kinds
 from fewview.config import Config
 from fewview.geometry import se3
-from fewview.matching.consistency import CandidateMatches, consistency_matrix, stack
+from fewview.matching.completed import completion_poses
+from fewview.matching.consistency import CandidateMatches, consistency_matrix, joined, stack
 from fewview.matching.manhattan import manhattan_poses
 from fewview.matching.prepared import PreparedScan
 from fewview.matching.spectral import agreeing, top_poses
@@ -21,6 +22,8 @@ from fewview.types import (
     Array,
     BoolArray,
     CandidateOrigin,
+    CompletedScan,
+    Correspondences,
     Evidence,
     IntArray,
     PairResult,
@@ -90,13 +93,9 @@ def match_pair(
 
 def weigh_pair(source: PreparedScan, target: PreparedScan, config: Config) -> Weighed:
     """Propose, refine and weigh poses; what `match_pair` does before it judges."""
-    matches = stack(
-        source.scan,
-        target.scan,
-        [kind.correspond(source.scan, target.scan) for kind in chosen_kinds(config.features)],
-        config.matching.max_correspondences,
-    )
-    proposals, origins, scores = _propose(source, target, matches, config)
+    observed, completed = _candidate_matches(source.scan, target.scan, config)
+    proposals, origins, scores = _propose(source, target, observed, completed, config)
+    matches = joined(observed, completed)
     refined = _refine(source, target, proposals, matches, config)
     poses = refined.target_T_source
     support = _support(matches, poses)
@@ -110,20 +109,40 @@ def weigh_pair(source: PreparedScan, target: PreparedScan, config: Config) -> We
     return Weighed(poses, covariance, kept, scores[chosen], matches, support, found)
 
 
+def _candidate_matches(
+    source: CompletedScan, target: CompletedScan, config: Config
+) -> tuple[CandidateMatches, CandidateMatches]:
+    """Between what the scans show, and between the rooms that the networks complete."""
+    seen: list[Correspondences] = []
+    predicted: list[Correspondences] = []
+    for kind in chosen_kinds(config.features):
+        found = seen if kind in OBSERVED_KINDS else predicted
+        found.append(kind.correspond(source, target))
+    limit = config.matching.max_correspondences
+    return stack(source, target, seen, limit), stack(source, target, predicted, limit, True)
+
+
 def _propose(
-    source: PreparedScan, target: PreparedScan, matches: CandidateMatches, config: Config
+    source: PreparedScan,
+    target: PreparedScan,
+    observed: CandidateMatches,
+    completed: CandidateMatches,
+    config: Config,
 ) -> tuple[Array, list[CandidateOrigin], Array]:
     """Initial poses (K, 4, 4), where they come from and their scores (K,)."""
-    spectral = top_poses(matches, consistency_matrix(matches), config.matching.top_k)
-    poses = [(h.target_T_source, h.score) for h in spectral]
-    origins = [CandidateOrigin.SPECTRAL] * len(poses)
+    spectral = top_poses(observed, consistency_matrix(observed), config.matching.top_k)
+    found = {CandidateOrigin.SPECTRAL: [(h.target_T_source, h.score) for h in spectral]}
     strongest = max((len(h.inliers) for h in spectral), default=0)
-    if config.matching.manhattan and strongest < CERTAIN_INLIERS:
-        alternatives = manhattan_poses(
-            source.raster, target.raster, source.scan.levelling, target.scan.levelling
+    if strongest < CERTAIN_INLIERS:
+        found[CandidateOrigin.COMPLETION] = completion_poses(
+            source.scan, target.scan, completed, config.matching.top_k
         )
-        poses += alternatives
-        origins += [CandidateOrigin.MANHATTAN] * len(alternatives)
+        if config.matching.manhattan:
+            found[CandidateOrigin.MANHATTAN] = manhattan_poses(
+                source.raster, target.raster, source.scan.levelling, target.scan.levelling
+            )
+    origins = [origin for origin, poses in found.items() for _ in poses]
+    poses = [pose for poses in found.values() for pose in poses]
     stacked = np.array([p for p, _ in poses]).reshape(-1, 4, 4)
     return stacked, origins, np.array([score for _, score in poses])
 

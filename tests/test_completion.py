@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fewview import synthetic
-from fewview.completion import KINDS, complete
+from fewview.completion import chosen_kinds, complete
 from fewview.completion.levelling import level, upright
 from fewview.completion.local_geometry import DepthView, reduce_depth, thin_surface
 from fewview.completion.orientation import glance, quarter_turns
@@ -127,7 +127,7 @@ def test_turned_pixels_show_the_same_content(turns: int) -> None:
 
 def test_features_lie_on_the_surface(completed: list[CompletedScan]) -> None:
     for scan in completed:
-        assert set(scan.features) == {k.name for k in KINDS}
+        assert set(scan.features) == set(CONFIG.kinds)
         for features in scan.features.values():
             assert np.isfinite(features.positions).all()
             length = np.linalg.norm(features.normals, axis=1)
@@ -167,7 +167,7 @@ def test_an_unknown_kind_is_refused(scene: synthetic.SyntheticScene) -> None:
 
 def test_a_scan_matches_itself(completed: list[CompletedScan]) -> None:
     scan = completed[0]
-    for kind in KINDS:
+    for kind in chosen_kinds(CONFIG):
         if kind.name == "planes":
             continue
         matches = kind.correspond(scan, scan)

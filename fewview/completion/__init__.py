@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fewview.completion.scan import KINDS, chosen_kinds, complete
+    from fewview.completion.scan import KINDS, OBSERVED_KINDS, chosen_kinds, complete
 
-__all__ = ["KINDS", "chosen_kinds", "complete"]
+__all__ = ["KINDS", "OBSERVED_KINDS", "chosen_kinds", "complete"]
 
 
 def __getattr__(name: str) -> Any:

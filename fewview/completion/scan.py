@@ -5,18 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from fewview.completion.kinds import FeatureKind, ScanView
+from fewview.completion.layout.features import Layout
 from fewview.completion.levelling import level
 from fewview.completion.local_geometry import DepthView, thin_surface
+from fewview.completion.panorama.features import Panorama
 from fewview.completion.patches import find_patches
 from fewview.completion.planes import Planes
 from fewview.completion.room import NETWORKS, complete_room
 from fewview.completion.sift import Sift
+from fewview.completion.structure.features import Structure
 from fewview.completion.xfeat import XFeatKeypoints
 from fewview.config import FeatureConfig
 from fewview.errors import ConfigError
 from fewview.types import CompletedScan, Frame
 
-KINDS: tuple[FeatureKind, ...] = (XFeatKeypoints(), Sift(), Planes())
+OBSERVED_KINDS: tuple[FeatureKind, ...] = (XFeatKeypoints(), Sift(), Planes())
+COMPLETED_KINDS: tuple[FeatureKind, ...] = (Panorama(), Layout(), Structure())
+KINDS = OBSERVED_KINDS + COMPLETED_KINDS
 
 
 def chosen_kinds(config: FeatureConfig) -> tuple[FeatureKind, ...]:

@@ -9,12 +9,16 @@ C(c, c') = s_c s_c' g_cc', where g compares one length and three angles that a r
 Every kind of feature has its own gammas; between kinds their variances are averaged. An angle with
 an unknown normal says nothing. Entries under `MIN_ENTRY` are zero, so most pairs are settled by
 their length alone and never see an angle.
+
+Between levelled scans the angles are turns about the vertical, with a sign: a motion that keeps the
+vertical keeps them too, and a mirrored set of matches, which all else lets pass, does not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -31,6 +35,7 @@ from fewview.types import (
 
 MIN_ENTRY = 0.1
 MIN_LENGTH_M = 0.05
+UPRIGHT_COS = 0.7
 BLOCK = 256
 
 
@@ -43,6 +48,7 @@ class CandidateMatches:
         similarity: (m,) s_c.
         kinds: the feature kinds and their scales; kind: (m,) index into them.
         indices: (m, 2) into the feature sets of that kind.
+        up: (2, 3) up direction in the source and in the target when the scans count as levelled.
     """
 
     source: Array
@@ -53,6 +59,7 @@ class CandidateMatches:
     kinds: Mapping[str, Scales]
     kind: IntArray
     indices: IntArray
+    up: Array | None = None
 
     def __len__(self) -> int:
         return len(self.source)
@@ -69,9 +76,20 @@ class CandidateMatches:
 
 
 def stack(
-    source: CompletedScan, target: CompletedScan, matches: list[Correspondences], limit: int
+    source: CompletedScan,
+    target: CompletedScan,
+    matches: list[Correspondences],
+    limit: int,
+    levelled: bool = False,
 ) -> CandidateMatches:
-    """Collect correspondences of all kinds, at most ``limit``, best similarity first."""
+    """Collect correspondences of all kinds, at most ``limit``, best similarity first.
+
+    Args:
+        source, target: the scans.
+        matches: of each kind.
+        limit: how many are kept.
+        levelled: whether poses have to keep the vertical.
+    """
     counts = np.array([len(m) for m in matches], dtype=np.int64)
     kind = np.repeat(np.arange(len(matches)), counts)
     indices = np.concatenate([np.zeros((0, 2), np.int64), *(m.indices for m in matches)])
@@ -87,7 +105,27 @@ def stack(
             columns[side][rows] = features.positions[indices[rows, side]]
             columns[side + 2][rows] = features.normals[indices[rows, side]]
     p, q, n, m = columns
-    return CandidateMatches(p, q, n, m, similarity, kinds, kind, indices)
+    up = np.stack([scan.levelling.level_R_scan[2] for scan in (source, target)])
+    return CandidateMatches(p, q, n, m, similarity, kinds, kind, indices, up if levelled else None)
+
+
+def joined(first: CandidateMatches, second: CandidateMatches) -> CandidateMatches:
+    """Candidate matches of different kinds together, ``first`` before ``second``; up as there."""
+
+    def both(name: str) -> Any:
+        return np.concatenate([getattr(first, name), getattr(second, name)])
+
+    return CandidateMatches(
+        both("source"),
+        both("target"),
+        both("source_normals"),
+        both("target_normals"),
+        both("similarity"),
+        {**first.kinds, **second.kinds},
+        np.concatenate([first.kind, second.kind + len(first.kinds)]),
+        both("indices"),
+        second.up,
+    )
 
 
 def consistency_matrix(matches: CandidateMatches) -> sparse.csr_matrix:
@@ -134,36 +172,53 @@ def _lengths(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _geometry_score(matches: CandidateMatches, i: IntArray, j: IntArray) -> FloatArray:
+    sides = (
+        (matches.source, matches.source_normals),
+        (matches.target, matches.target_normals),
+    )
+    ups = (None, None) if matches.up is None else matches.up.astype(np.float32)
     quantities = [
-        _invariants(points.astype(np.float32), normals.astype(np.float32), i, j)
-        for points, normals in (
-            (matches.source, matches.source_normals),
-            (matches.target, matches.target_normals),
-        )
+        _invariants(points.astype(np.float32), normals.astype(np.float32), i, j, up)
+        for (points, normals), up in zip(sides, ups, strict=True)
     ]
-    known = matches.normals_known
+    known = _angles_known(matches)
     used = (np.ones(len(i), dtype=bool), known[i] & known[j], known[i], known[j])
     names = ("length_m", "normal_angle", "direction_angle", "direction_angle")
     exponent = np.zeros(len(i), dtype=np.float32)
     for name, use, a, b in zip(names, used, *quantities, strict=True):
         gamma = matches.scale(name) ** 2
-        exponent += use * (a - b) ** 2 / (gamma[i] + gamma[j])
+        change = a - b
+        if matches.up is not None and name != "length_m":
+            change = np.remainder(change + np.pi, 2.0 * np.pi) - np.pi
+        exponent += use * change**2 / (gamma[i] + gamma[j])
     return np.exp(-exponent)
 
 
+def _angles_known(matches: CandidateMatches) -> BoolArray:
+    """(m,) where both normals are known and, between levelled scans, not nearly vertical."""
+    if matches.up is None:
+        return matches.normals_known
+    lean = [matches.source_normals @ matches.up[0], matches.target_normals @ matches.up[1]]
+    return np.asarray(matches.normals_known & (np.abs(lean).max(axis=0) < UPRIGHT_COS))
+
+
 def _invariants(
-    points: FloatArray, normals: FloatArray, i: IntArray, j: IntArray
+    points: FloatArray, normals: FloatArray, i: IntArray, j: IntArray, up: FloatArray | None
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     step = points[i] - points[j]
     length = np.sqrt((step**2).sum(axis=1))
     step /= np.maximum(length, 1e-9)[:, None]
     return (
         length,
-        _angle((normals[i] * normals[j]).sum(axis=1)),
-        _angle((normals[i] * step).sum(axis=1)),
-        _angle((normals[j] * step).sum(axis=1)),
+        _angle(normals[i], normals[j], up),
+        _angle(normals[i], step, up),
+        _angle(normals[j], step, up),
     )
 
 
-def _angle(cosine: FloatArray) -> FloatArray:
-    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
+def _angle(a: FloatArray, b: FloatArray, up: FloatArray | None) -> FloatArray:
+    """Angles 0..pi between unit vectors, or -pi..pi about ``up`` from ``a`` to ``b``."""
+    cosine = (a * b).sum(axis=1)
+    if up is None:
+        return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return np.asarray(np.arctan2(np.cross(a, b) @ up, cosine - (a @ up) * (b @ up)))

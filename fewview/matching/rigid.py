@@ -20,9 +20,9 @@ def fit_rigid(
         source: (m, 3) points p.
         target: (m, 3) points q.
         weights: (m,) non-negative, not all zero.
-        source_normals: (m, 3) unit vectors n_p.
-        target_normals: (m, 3) unit vectors n_q.
-        normal_weights: (m,) in square metres: what a turn of the normal counts against points.
+        source_normals: (k, 3) unit vectors n_p.
+        target_normals: (k, 3) unit vectors n_q.
+        normal_weights: (k,) in square metres: what a turn of the normal counts against points.
 
     Returns:
         target_T_source (4, 4).

@@ -3,7 +3,8 @@
 Each round takes the leading eigenvector of the consistency matrix, rounds it greedily to a
 one-to-one set whose members agree with each other, fits a rigid motion, and deflates: all
 correspondences that the motion explains leave the matrix. The eigenvectors of the deflated
-matrices stay non-negative and each answer differs from those before.
+matrices stay non-negative and each answer differs from those before. Motions between levelled
+scans keep the vertical: the up directions enter the fit as normals of overwhelming weight.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ MAX_POWER_ITERATIONS = 30
 REFITS = 3
 INLIER_SCALE = 2.0
 MAX_NORMAL_COS = np.cos(np.radians(45.0))
+LEVEL_WEIGHT = 1e4
 
 
 @dataclass(frozen=True)
@@ -130,11 +132,20 @@ def _fit(matches: CandidateMatches, matrix: sparse.csr_matrix, chosen: IntArray)
 def _fit_to(matches: CandidateMatches, members: IntArray) -> Array:
     precision = (0.05 / matches.scale("length_m")[members].astype(np.float64)) ** 2
     weights = matches.similarity[members].astype(np.float64) * precision
+    source_normals, target_normals = (
+        matches.source_normals[members],
+        matches.target_normals[members],
+    )
+    normal_weights = weights * matches.scale("normal_weight")[members]
+    if matches.up is not None:
+        source_normals = np.vstack([source_normals, matches.up[0]])
+        target_normals = np.vstack([target_normals, matches.up[1]])
+        normal_weights = np.append(normal_weights, LEVEL_WEIGHT * weights.sum())
     return fit_rigid(
         matches.source[members],
         matches.target[members],
         weights,
-        matches.source_normals[members],
-        matches.target_normals[members],
-        weights * matches.scale("normal_weight")[members],
+        source_normals,
+        target_normals,
+        normal_weights,
     )

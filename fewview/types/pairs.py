@@ -20,7 +20,9 @@ class Scales:
         length_m: gamma_2, metres.
         normal_angle: gamma_3, radians; direction_angle: gamma_4 and gamma_5, radians.
         normal_weight: what its normals count against its positions in the rigid fit, square metres.
-        fixed_point: False where a position may shift along the surface, as a patch's centre does.
+        fixed_point: False where a position is no exact point: a patch's centre may shift along the
+            surface, what was predicted is off by decimetres. Such features propose poses but do
+            not pull at them in the refinement.
     """
 
     length_m: float
@@ -54,6 +56,7 @@ class CandidateOrigin(StrEnum):
     """Which step proposed a candidate pose."""
 
     SPECTRAL = "spectral"
+    COMPLETION = "completion"
     MANHATTAN = "manhattan"
 
 
