@@ -92,15 +92,16 @@ class GlobalConfig:
     """... and this translation."""
     chance_agreement: float = 0.03
     """Probability that a wrong candidate agrees by chance (tolerance volume over pose volume)."""
-    manhattan_chance_agreement: float = 0.1
-    """The same for Manhattan candidates, which share their four yaws and the walls they fit."""
+    levelled_chance_agreement: float = 0.1
+    """The same for candidates not from matched features of what was seen: those of levelled scans
+    share their four yaws and the walls they fit."""
     min_probability: float = 0.5
     """Scans whose placement is less probable stay unplaced."""
     restarts: int = 16
     """Seeded spanning trees from which the search starts."""
 
     def __post_init__(self) -> None:
-        for name in ("chance_agreement", "manhattan_chance_agreement", "min_probability"):
+        for name in ("chance_agreement", "levelled_chance_agreement", "min_probability"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ConfigError(f"global_stage.{name} must be above 0 and below 1")
 

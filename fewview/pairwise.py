@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fewview.alignment import Alignment
 from fewview.completion import OBSERVED_KINDS, chosen_kinds
 from fewview.config import Config
 from fewview.geometry import se3
@@ -34,6 +35,7 @@ from fewview.types import (
 CERTAIN_INLIERS = 40
 MIN_BELIEVABLE = 0.05
 SUPPORT_SCALE = 2.0
+ALIGNED = 6
 
 
 @dataclass(frozen=True)
@@ -137,6 +139,11 @@ def _propose(
         found[CandidateOrigin.COMPLETION] = completion_poses(
             source.scan, target.scan, completed, config.matching.top_k
         )
+        if source.above is not None and target.above is not None:
+            aligned = Alignment(source.above, target.above).best(ALIGNED)
+            found[CandidateOrigin.ALIGNMENT] = list(
+                zip(aligned.target_T_source, aligned.log_mass, strict=True)
+            )
         if config.matching.manhattan:
             found[CandidateOrigin.MANHATTAN] = manhattan_poses(
                 source.raster, target.raster, source.scan.levelling, target.scan.levelling

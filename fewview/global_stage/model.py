@@ -91,8 +91,8 @@ def build(scans: int, pairs: Sequence[PairResult], config: GlobalConfig) -> Prob
     shrink = np.minimum(1.0, MAX_PAIR_PROBABILITY / np.maximum(total, 1e-12))
     probability = probability * shrink[index[:, 2]]
     elsewhere = 1.0 - np.minimum(total, MAX_PAIR_PROBABILITY)
-    manhattan = np.array([row[4].origin is CandidateOrigin.MANHATTAN for row in rows], dtype=bool)
-    chance = np.where(manhattan, config.manhattan_chance_agreement, config.chance_agreement)
+    levelled = np.array([row[4].origin is not CandidateOrigin.SPECTRAL for row in rows], dtype=bool)
+    chance = np.where(levelled, config.levelled_chance_agreement, config.chance_agreement)
     evidence = probability / (elsewhere[index[:, 2]] * chance)
     keep = np.flatnonzero(evidence > 1.0)
     kept = [rows[i][4] for i in keep]

@@ -28,6 +28,11 @@ MAX_POINTS = 1200
 VISIBLE_TOLERANCE_M = 0.05
 VISIBLE_TOLERANCE_RELATIVE = 0.02
 FEW_POINTS = 6.0
+PROPOSED_FROM_ABOVE = (
+    CandidateOrigin.COMPLETION,
+    CandidateOrigin.ALIGNMENT,
+    CandidateOrigin.MANHATTAN,
+)
 
 
 def gather(
@@ -77,7 +82,7 @@ def gather(
         "tilt": np.minimum(tilt, 0.35),
         "floor_gap": np.minimum(floor_gap, 0.5),
         "yaw": yaw,
-        "manhattan": np.array([o is CandidateOrigin.MANHATTAN for o in origins], dtype=float),
+        **{o.value: np.array([x is o for x in origins], dtype=float) for o in PROPOSED_FROM_ABOVE},
     }
     columns["raster"] = columns["manhattan"] * scores / 100.0
     for name in ("overlap", "upright", "violation", "looseness", "colour"):

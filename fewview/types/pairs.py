@@ -57,6 +57,7 @@ class CandidateOrigin(StrEnum):
 
     SPECTRAL = "spectral"
     COMPLETION = "completion"
+    ALIGNMENT = "alignment"
     MANHATTAN = "manhattan"
 
 
