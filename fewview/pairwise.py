@@ -71,7 +71,7 @@ def match_pair(
         source, target: the scans.
         indices: their positions in the scan list, kept in the result.
         config: settings.
-        model: probability model; the shipped one when not given.
+        model: probability model; the shipped one for such scans when not given.
 
     Returns:
         candidates by falling probability, no two within the duplicate tolerance; or a status and
@@ -81,7 +81,9 @@ def match_pair(
     if len(weighed.poses) == 0:
         reason = "no consistent set of correspondences and no Manhattan frame in both scans"
         return PairResult(*indices, PairStatus.NO_CORRESPONDENCES, (), reason)
-    probability = (model or shipped_model()).probabilities([e.features for e in weighed.evidence])
+    if model is None:
+        model = shipped_model(source.scan.room.completed and target.scan.room.completed)
+    probability = model.probabilities([e.features for e in weighed.evidence])
     order = np.argsort(-probability, kind="stable")[: config.matching.top_k]
     candidates = tuple(
         _candidate(weighed, int(k), rank, float(probability[k])) for rank, k in enumerate(order)

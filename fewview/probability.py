@@ -1,8 +1,9 @@
 """From evidence to a calibrated probability: a conditional logit over a pair's candidates.
 
 Exactly one of K candidates is right, or none is: p_k = exp(z_k) / (1 + sum_j exp(z_j)) with
-z = w . f + b. Coefficients are fitted on validation scenes by scripts/fit_probability.py and
-stored in weights/probability.json together with how they were made.
+z = w . f + b. There is one model for scans whose rooms were completed and one for scans as seen.
+Coefficients are fitted on validation scenes by scripts/fit_probability.py and stored in
+weights/probability_completed.json and probability_observed.json together with how they were made.
 """
 
 from __future__ import annotations
@@ -35,8 +36,10 @@ class ProbabilityModel:
     intercept: float
 
     def logits(self, evidence: Sequence[Mapping[str, float]]) -> Array:
-        """(K,) z of candidates described by named features."""
-        rows = np.array([[e[name] for name in self.features] for e in evidence])
+        """(K,) z of candidates described by named features; one that was not measured says
+        nothing."""
+        typical = dict(zip(self.features, self.mean, strict=True))
+        rows = np.array([[e.get(name, typical[name]) for name in typical] for e in evidence])
         rows = rows.reshape(len(evidence), len(self.features))
         return np.asarray((rows - self.mean) / self.scale @ self.coefficients + self.intercept)
 
@@ -49,9 +52,10 @@ class ProbabilityModel:
 
 
 @cache
-def shipped_model() -> ProbabilityModel:
-    """The coefficients that come with the package."""
-    text = (resources.files("fewview") / "weights" / "probability.json").read_text()
+def shipped_model(completed: bool) -> ProbabilityModel:
+    """The coefficients that come with the package, for completed rooms or for scans as seen."""
+    name = f"probability_{'completed' if completed else 'observed'}.json"
+    text = (resources.files("fewview") / "weights" / name).read_text()
     return from_dict(json.loads(text))
 
 

@@ -1,9 +1,10 @@
 """Fit the candidate probabilities on validation scenes and store them in the package.
 
-    python scripts/fit_probability.py --scene FOLDER ... --check FOLDER ...
+    python scripts/fit_probability.py --scene FOLDER ... --check FOLDER ... [--observed]
 
 Validation scenes are generated rooms of the validation split and folders given with --scene;
-folders given with --check are never fitted to, they only show how the result carries over.
+folders given with --check are never fitted to, they only show how the result carries over. With
+--observed no network completes the scans, and the model for scans as seen is fitted.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import itertools
 import json
 import platform
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from fewview import scans as readers
-from fewview import synthetic
+from fewview import synthetic, weights
 from fewview.completion import complete
 from fewview.config import Config
 from fewview.evaluation.calibration import expected_calibration_error
@@ -33,7 +34,7 @@ from fewview.probability import ProbabilityModel
 from fewview.types import Array, Frame
 
 RIGHT_DEG, RIGHT_M = 15.0, 0.3
-FEATURES = (
+SEEN = (
     "xfeat",
     "sift",
     "planes",
@@ -60,6 +61,25 @@ FEATURES = (
     "alone_looseness",
     "alone_colour",
 )
+COMPLETED = (
+    "panorama",
+    "layout",
+    "structure",
+    "completion",
+    "alignment",
+    "aligner",
+    "verifier",
+    "met",
+    "inside",
+    "through",
+    "foreseen",
+    "alone_aligner",
+    "alone_verifier",
+    "alone_met",
+    "alone_inside",
+    "alone_through",
+)
+OBSERVED_KINDS = ("xfeat", "sift", "planes")
 RIDGE = 2.0
 
 
@@ -79,21 +99,31 @@ def main() -> None:
     parser.add_argument("--scene", type=Path, nargs="*", default=[])
     parser.add_argument("--check", type=Path, nargs="*", default=[])
     parser.add_argument("--cache", type=Path, default=Path("results/probability"))
-    parser.add_argument("--out", type=Path, default=Path("fewview/weights/probability.json"))
+    parser.add_argument("--observed", action="store_true", help="for scans as seen")
+    parser.add_argument("--out", type=Path, default=weights.FOLDER)
     options = parser.parse_args()
-    options.cache.mkdir(parents=True, exist_ok=True)
+    kind = "observed" if options.observed else "completed"
+    config = observed(Config()) if options.observed else Config()
+    cache = options.cache / kind
+    cache.mkdir(parents=True, exist_ok=True)
     rooms = [f"room-{i}" for i in range(options.rooms)]
-    fit = [p for r in rooms for p in cached(options.cache, r, lambda r=r: room(r, options.views))]
-    fit += [p for f in options.scene for p in cached(options.cache, f.name, lambda f=f: folder(f))]
-    check = {f.name: cached(options.cache, f.name, lambda f=f: folder(f)) for f in options.check}
-    model = fitted(fit)
+    fit = [p for r in rooms for p in cached(cache, r, lambda r=r: room(r, options.views, config))]
+    fit += [p for f in options.scene for p in cached(cache, f.name, lambda f=f: folder(f, config))]
+    check = {f.name: cached(cache, f.name, lambda f=f: folder(f, config)) for f in options.check}
+    model = fitted(fit, SEEN if options.observed else SEEN + COMPLETED)
     report = {"fit": summary(model, fit)} | {k: summary(model, v) for k, v in check.items()}
     print(json.dumps(report, indent=1))
     if check:
         held_out = [p for pairs in check.values() for p in pairs]
         report["all_checked"] = summary(model, held_out)
         print("all checked:", report["all_checked"])
-    options.out.write_text(json.dumps(stored(model, options, report), indent=1) + "\n")
+    text = json.dumps(stored(model, config, options, report), indent=1)
+    (options.out / f"probability_{kind}.json").write_text(text + "\n")
+
+
+def observed(config: Config) -> Config:
+    """The settings without what the networks complete."""
+    return replace(config, features=replace(config.features, kinds=OBSERVED_KINDS))
 
 
 def cached(cache: Path, name: str, make: Any) -> list[Pair]:
@@ -106,22 +136,23 @@ def cached(cache: Path, name: str, make: Any) -> list[Pair]:
     return [Pair(**p) for p in json.loads(path.read_text())]
 
 
-def room(name: str, views: int) -> Iterator[Pair]:
+def room(name: str, views: int, config: Config) -> Iterator[Pair]:
     index = int(name.split("-")[1])
     mode = "spread" if index % 2 else "random"
     scene = synthetic.generate(synthetic.split_seed("validation", index), views, index, mode)
-    yield from pairs_of(name, list(scene.frames), [scene.poses[n] for n in scene.names])
+    yield from pairs_of(name, list(scene.frames), [scene.poses[n] for n in scene.names], config)
 
 
-def folder(path: Path, most: int = 24) -> Iterator[Pair]:
+def folder(path: Path, config: Config, most: int = 24) -> Iterator[Pair]:
     found, truth = readers.load(path).scans, readers.truth(path)
     known = [s for s in found if s.name in truth]
     chosen = [known[i] for i in np.linspace(0, len(known) - 1, min(most, len(known))).astype(int)]
-    yield from pairs_of(path.name, [s.load() for s in chosen], [truth[s.name] for s in chosen])
+    frames, poses = [s.load() for s in chosen], [truth[s.name] for s in chosen]
+    yield from pairs_of(path.name, frames, poses, config)
 
 
-def pairs_of(name: str, frames: list[Frame], poses: list[Array]) -> Iterator[Pair]:
-    config, executor = Config(), Executor()
+def pairs_of(name: str, frames: list[Frame], poses: list[Array], config: Config) -> Iterator[Pair]:
+    executor = Executor()
     features = config.features
     scans = list(
         executor.map(
@@ -142,10 +173,10 @@ def pairs_of(name: str, frames: list[Frame], poses: list[Array]) -> Iterator[Pai
     yield from executor.map(one, itertools.combinations(range(len(frames)), 2))
 
 
-def fitted(pairs: list[Pair]) -> ProbabilityModel:
+def fitted(pairs: list[Pair], names: tuple[str, ...]) -> ProbabilityModel:
     """Maximum likelihood of the conditional logit with a ridge; each scene counts alike."""
     pairs = [p for p in pairs if p.candidates]
-    rows = [np.array([[c[f] for f in FEATURES] for c in p.candidates]) for p in pairs]
+    rows = [np.array([[c[f] for f in names] for c in p.candidates]) for p in pairs]
     stacked = np.concatenate(rows)
     mean, scale = stacked.mean(axis=0), stacked.std(axis=0) + 1e-6
     rows = [(r - mean) / scale for r in rows]
@@ -168,8 +199,8 @@ def fitted(pairs: list[Pair]) -> ProbabilityModel:
             slope += weight * np.append(delta @ x, delta.sum())
         return value, slope
 
-    found = minimize(loss, np.zeros(len(FEATURES) + 1), jac=True, method="L-BFGS-B")
-    return ProbabilityModel(FEATURES, mean, scale, found.x[:-1], float(found.x[-1]))
+    found = minimize(loss, np.zeros(len(names) + 1), jac=True, method="L-BFGS-B")
+    return ProbabilityModel(names, mean, scale, found.x[:-1], float(found.x[-1]))
 
 
 def summary(model: ProbabilityModel, pairs: list[Pair]) -> dict[str, float]:
@@ -196,7 +227,7 @@ def summary(model: ProbabilityModel, pairs: list[Pair]) -> dict[str, float]:
 
 
 def stored(
-    model: ProbabilityModel, options: argparse.Namespace, report: dict[str, Any]
+    model: ProbabilityModel, config: Config, options: argparse.Namespace, report: dict[str, Any]
 ) -> dict[str, Any]:
     return {
         "features": list(model.features),
@@ -212,7 +243,7 @@ def stored(
             "views_per_room": options.views,
             "scenes": [f.name for f in options.scene],
             "checked_on": [f.name for f in options.check],
-            "config_hash": Config().hash(),
+            "config_hash": config.hash(),
             "python": platform.python_version(),
             "report": report,
         },

@@ -141,14 +141,22 @@ def test_probabilities_of_a_pair_stay_below_one(values: list[float]) -> None:
     assert np.argmax(p) == np.argmax(values) or np.isclose(p.max(), p[np.argmax(values)])
 
 
-def test_shipped_coefficients_say_how_they_were_made() -> None:
+def test_what_was_not_measured_says_nothing() -> None:
+    model = ProbabilityModel(
+        ("x", "y"), np.array([1.0, 5.0]), np.ones(2), np.array([1.0, 2.0]), 0.0
+    )
+    np.testing.assert_allclose(model.logits([{"x": 3.0}, {"x": 3.0, "y": 6.0}]), [2.0, 4.0])
+
+
+@pytest.mark.parametrize("kind", ["observed", "completed"])
+def test_shipped_coefficients_say_how_they_were_made(kind: str) -> None:
     import json
     from importlib import resources
 
-    text = (resources.files("fewview") / "weights" / "probability.json").read_text()
+    text = (resources.files("fewview") / "weights" / f"probability_{kind}.json").read_text()
     values = json.loads(text)
     assert values["made"]["by"] == "scripts/fit_probability.py"
     assert not set(values["made"]["scenes"]) & set(values["made"]["checked_on"])
-    model = shipped_model()
+    model = shipped_model(kind == "completed")
     assert len(model.features) == len(model.coefficients) == len(model.mean)
     assert (model.scale > 0).all()

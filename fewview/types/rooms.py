@@ -126,6 +126,11 @@ class CompletedRoom:
     planes: CompletedPlanes | None = None
 
     @property
+    def completed(self) -> bool:
+        """Whether any network was asked."""
+        return any(part is not None for part in (self.panorama, self.layout, self.planes))
+
+    @property
     def level_T_scan(self) -> Array:
         """(4, 4) into the level frame of ring, panorama and planes: camera at the origin, z up,
         axes along the walls that the scan shows."""
