@@ -52,6 +52,8 @@ class MatchingConfig:
     """Candidates closer than this and `duplicate_distance_m` count as one answer."""
     duplicate_distance_m: float = 0.3
     """See `duplicate_angle_deg`."""
+    alignment: bool = True
+    """Propose poses that lay the completed rooms of two scans over each other."""
     manhattan: bool = True
     """Propose the other yaws of box-shaped rooms as candidates of their own kind."""
 

@@ -141,7 +141,7 @@ def _propose(
         found[CandidateOrigin.COMPLETION] = completion_poses(
             source.scan, target.scan, completed, config.matching.top_k
         )
-        if source.above is not None and target.above is not None:
+        if config.matching.alignment and source.above is not None and target.above is not None:
             aligned = Alignment(source.above, target.above).best(ALIGNED)
             found[CandidateOrigin.ALIGNMENT] = list(
                 zip(aligned.target_T_source, aligned.log_mass, strict=True)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmark.catalogue import built
+from benchmark.catalogue import PAIR_METHODS
 from benchmark.command import (
     answered_pairs,
     method_names,
@@ -38,7 +38,7 @@ def main() -> None:
     options = parser.parse_args()
     dataset = opened(options)
     pairs = pair_list(options, dataset)
-    methods = [built(name) for name in options.methods]
+    methods = [PAIR_METHODS[name] for name in options.methods]
     answered = answered_pairs(options, dataset, pairs, methods)
     rows = {method.label: answered[method.key] for method in methods}
     out = out_path(options, dataset)
@@ -46,7 +46,7 @@ def main() -> None:
     draw_recall(rows, out.with_name(f"{out.stem}-recall.png"))
     hard = {name: [row for row in own if row["overlap"] < 0.1] for name, own in rows.items()}
     draw_recall(hard, out.with_name(f"{out.stem}-recall-below-10.png"))
-    told = [c for row in answered[built("ours").key] for c in row["candidates"]]
+    told = [c for row in answered[PAIR_METHODS["ours"].key] for c in row["candidates"]]
     bins = reliability(
         np.array([c["probability"] for c in told]), np.array([c["right"] for c in told])
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmark.catalogue import built
+from benchmark.catalogue import PAIR_METHODS
 from benchmark.command import method_names, opened, out_path, pair_list, pair_parser
 from benchmark.draw import pair_row
 from benchmark.page import grid, save_png
@@ -35,7 +35,7 @@ def main() -> None:
     chosen = [ordered[i] for i in np.linspace(0, len(ordered) - 1, options.rows).astype(int)]
     tasks = [
         [
-            PairTask(store, built(name), scenes[pair.scene], pair.source, pair.target)
+            PairTask(store, PAIR_METHODS[name], scenes[pair.scene], pair.source, pair.target)
             for name in options.methods
         ]
         for pair in chosen

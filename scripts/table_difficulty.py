@@ -5,7 +5,7 @@ python scripts/table_difficulty.py --dataset rooms
 
 from __future__ import annotations
 
-from benchmark.catalogue import built
+from benchmark.catalogue import PAIR_METHODS
 from benchmark.command import answered_pairs, opened, out_path, pair_list, pair_parser, settings
 from benchmark.pair_table import overlap_table, yaw_table
 from benchmark.pairs import difficulty
@@ -20,7 +20,7 @@ def main() -> None:
     options = pair_parser(__doc__, "difficulty").parse_args()
     dataset = opened(options)
     pairs = pair_list(options, dataset)
-    methods = {name: built(name) for name in TRIVIAL}
+    methods = {name: PAIR_METHODS[name] for name in TRIVIAL}
     rows = answered_pairs(options, dataset, pairs, list(methods.values()))
     summary = {
         name: {

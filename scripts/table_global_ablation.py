@@ -11,7 +11,15 @@ from benchmark.catalogue import PAIR_METHODS
 from benchmark.command import pair_parser
 from benchmark.pair_table import make
 
-METHODS = ("panorama", "planes", "layout", "keypoints", "spectral", "ours_global")
+METHODS = (
+    "panorama",
+    "planes",
+    "layout",
+    "completed",
+    "keypoints",
+    "spectral",
+    "ours_global",
+)
 
 
 def main() -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from benchmark.catalogue import PAIR_METHODS, Method, NotBuilt
+from benchmark.catalogue import PAIR_METHODS, Method
 from benchmark.command import pair_parser
 from benchmark.pair_table import make
 
@@ -17,12 +17,10 @@ GLOBAL = ("scan_complete", "ransac", "xfeat", "ours_global")
 LOCAL = {"icp": "ICP", "gicp": "GICP", "sparse_icp": "SparseICP", "ours": "Ours-Local"}
 
 
-def combined(base: str, local: str | None) -> Method | NotBuilt:
+def combined(base: str, local: str | None) -> Method:
     """A global method, followed by a local one."""
     method = PAIR_METHODS[base]
     label = f"{method.label} + {'nothing' if local is None else LOCAL[local]}"
-    if isinstance(method, NotBuilt):
-        return replace(method, label=label)
     return replace(method, label=label, local=local)
 
 

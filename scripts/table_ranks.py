@@ -5,7 +5,7 @@ python scripts/table_ranks.py --dataset rooms
 
 from __future__ import annotations
 
-from benchmark.catalogue import built
+from benchmark.catalogue import PAIR_METHODS
 from benchmark.command import answered_pairs, opened, out_path, pair_list, pair_parser, settings
 from benchmark.scoring import OVERLAPS, best_ranks
 from benchmark.table import Table, write
@@ -23,7 +23,7 @@ def main() -> None:
     options = pair_parser(__doc__, "ranks").parse_args()
     dataset = opened(options)
     pairs = pair_list(options, dataset)
-    methods = {name: built(name) for name in METHODS}
+    methods = {name: PAIR_METHODS[name] for name in METHODS}
     answered = answered_pairs(options, dataset, pairs, list(methods.values()))
     ranks = {
         name: {

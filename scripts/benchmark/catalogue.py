@@ -58,19 +58,6 @@ class Method:
 
 
 @dataclass(frozen=True)
-class NotBuilt:
-    """A row of the paper whose parts do not exist yet.
-
-    Attributes:
-        label: as tables print it.
-        missing: what it waits for.
-    """
-
-    label: str
-    missing: str
-
-
-@dataclass(frozen=True)
 class MultiMethod:
     """A way from pairs to the poses of a set of scans.
 
@@ -91,7 +78,7 @@ class MultiMethod:
     @property
     def key(self) -> str:
         """As `Method.key`, for the back-end and the pairs that it gets."""
-        given = [dict(self.arguments), built(self.pairs).key, self.consecutive]
+        given = [dict(self.arguments), PAIR_METHODS[self.pairs].key, self.consecutive]
         return key_of(self.backend.rpartition(".")[-1], given, [self.backend])
 
 
@@ -99,10 +86,12 @@ def _ours(label: str, maker: str = "Ours", **settings: Any) -> Method:
     return Method(label, OURS, maker, {"settings": settings})
 
 
-def _global(label: str, kinds: Sequence[str] | None = None, manhattan: bool = False) -> Method:
-    """The global module alone, with some kinds of features."""
+def _global(
+    label: str, kinds: Sequence[str] | None = None, above: bool = False, top_k: int = 5
+) -> Method:
+    """The global module alone: no refinement; some kinds of features, poses from above or not."""
     settings: dict[str, Any] = {
-        "matching": {"manhattan": manhattan},
+        "matching": {"manhattan": above, "alignment": above, "top_k": top_k},
         "refinement": {"iterations": 0},
     }
     if kinds is not None:
@@ -110,10 +99,9 @@ def _global(label: str, kinds: Sequence[str] | None = None, manhattan: bool = Fa
     return _ours(label, **settings)
 
 
-_PANORAMA = "the 360-image completion network"
-_LAYOUT = "the 2D layout completion network"
+_SEEN = ("xfeat", "sift", "planes")
 
-PAIR_METHODS: Mapping[str, Method | NotBuilt] = {
+PAIR_METHODS: Mapping[str, Method] = {
     "identity": Method("identity", "benchmark.methods.trivial", "Identity"),
     "uniform_yaw": Method("uniform yaw", "benchmark.methods.trivial", "UniformYaw"),
     "manhattan_random": Method(
@@ -131,25 +119,19 @@ PAIR_METHODS: Mapping[str, Method | NotBuilt] = {
     "xfeat": Method("XFeat + LighterGlue", "benchmark.methods.xfeat", "XFeat", {"icp": False}),
     "xfeat_icp": Method("XFeat + LighterGlue + ICP", "benchmark.methods.xfeat", "XFeat"),
     "sparse_icp": Method("SparseICP", "benchmark.methods.sparse_icp", "SparseICP"),
-    "scan_complete": NotBuilt("ScanComplete (360-image alone)", _PANORAMA),
+    "scan_complete": _global("ScanComplete (360-image alone)", ["panorama"], top_k=1),
     "ours_local": _ours("Ours-Local", "OursLocal"),
-    "ours_global": _global("Ours-Global", manhattan=True),
+    "ours_global": _global("Ours-Global", above=True),
     "ours": _ours("Ours"),
-    "panorama": NotBuilt("360-image", _PANORAMA),
-    "planes": _global("Planes (seen)", ["planes"]),
-    "layout": NotBuilt("2D layout", _LAYOUT),
+    "ours_seen": _ours("Ours, nothing completed", features={"kinds": list(_SEEN)}),
+    "panorama": _global("360-image", ["panorama"]),
+    "planes": _global("Planes", ["planes", "structure"]),
+    "layout": _global("2D layout", ["layout"]),
+    "completed": _global("The three together", ["panorama", "planes", "structure", "layout"]),
     "keypoints": _global("Keypoints", ["xfeat", "sift"]),
-    "spectral": _global("All features, without Manhattan candidates"),
+    "spectral": _global("All features, no poses from above"),
 }
 """Relative-pose methods; those with one candidate answer top-3 and top-5 with it too."""
-
-
-def built(name: str) -> Method:
-    """A method that exists, by name."""
-    method = PAIR_METHODS[name]
-    if isinstance(method, NotBuilt):
-        raise SystemExit(f"{name} is not built: it needs {method.missing}")
-    return method
 
 
 _GRAPH = "benchmark.backends.components"

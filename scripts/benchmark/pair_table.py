@@ -6,11 +6,11 @@ import argparse
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmark.catalogue import Method, NotBuilt
+from benchmark.catalogue import Method
 from benchmark.command import answered_pairs, opened, out_path, pair_list, settings
 from benchmark.pairs import difficulty
 from benchmark.scoring import OVERLAPS, best_ranks, summarise, yaw_classes
-from benchmark.table import NOT_BUILT, Table, pose_cell, write
+from benchmark.table import Table, pose_cell, write
 
 Json = dict[str, Any]
 TOP = ("1", "3", "5")
@@ -40,13 +40,12 @@ YAW_NOTE = (
 
 
 def make(
-    options: argparse.Namespace, methods: Mapping[str, Method | NotBuilt], title: str
+    options: argparse.Namespace, methods: Mapping[str, Method], title: str
 ) -> tuple[Json, str]:
     """Run the methods, write JSON, Markdown and LaTeX; returns the results and the Markdown."""
     dataset = opened(options)
     pairs = pair_list(options, dataset)
-    working = {name: m for name, m in methods.items() if isinstance(m, Method)}
-    rows = answered_pairs(options, dataset, pairs, list(working.values()))
+    rows = answered_pairs(options, dataset, pairs, list(methods.values()))
     summary = {
         name: {
             "key": method.key,
@@ -54,50 +53,40 @@ def make(
             "yaw": summarise(rows[method.key], yaw_classes()),
             "best_rank": best_ranks(rows[method.key]),
         }
-        for name, method in working.items()
+        for name, method in methods.items()
     }
     results = {
         **settings(options, dataset),
         "difficulty": difficulty(pairs.pairs),
         "methods": summary,
-        "not_built": {n: m.missing for n, m in methods.items() if isinstance(m, NotBuilt)},
     }
     where = f"{title}, {dataset.name}, {len(pairs.pairs)} pairs, seed {options.seed}"
     tables = [overlap_table(where, methods, summary), yaw_table(where, methods, summary)]
     return results, write(out_path(options, dataset), results, tables)
 
 
-def overlap_table(
-    title: str, methods: Mapping[str, Method | NotBuilt], summary: Mapping[str, Json]
-) -> Table:
+def overlap_table(title: str, methods: Mapping[str, Method], summary: Mapping[str, Json]) -> Table:
     """All columns, a block of rows an overlap class."""
     rows: list[Sequence[str]] = []
     for group in OVERLAPS:
         counts = [s["overlap"][group]["count"] for s in summary.values() if group in s["overlap"]]
         if counts:
             rows.append([f"overlap {group} ({counts[0]} pairs)"])
-            rows += [
-                _row(m, summary.get(n, {}).get("overlap", {}), group) for n, m in methods.items()
-            ]
+            rows += [_row(m, summary[n]["overlap"], group) for n, m in methods.items()]
     return Table(title, NOTE, HEAD, rows)
 
 
-def yaw_table(
-    title: str, methods: Mapping[str, Method | NotBuilt], summary: Mapping[str, Json]
-) -> Table:
+def yaw_table(title: str, methods: Mapping[str, Method], summary: Mapping[str, Json]) -> Table:
     """Rotation errors by true relative yaw."""
     classes = list(dict.fromkeys(name for s in summary.values() for name in s["yaw"]))
     rows = []
     for name, method in methods.items():
-        found = summary.get(name, {}).get("yaw", {})
-        cells = [_yaw_cell(found[c]) for c in classes if c in found]
-        rows.append([method.label, *(cells or [NOT_BUILT] * len(classes))])
+        found = summary[name]["yaw"]
+        rows.append([method.label, *(_yaw_cell(found[c]) for c in classes)])
     return Table(f"{title}: by true yaw", YAW_NOTE, ("method", *classes), rows)
 
 
-def _row(method: Method | NotBuilt, found: Mapping[str, Json], group: str) -> list[str]:
-    if isinstance(method, NotBuilt):
-        return [method.label, *[NOT_BUILT] * (len(HEAD) - 1)]
+def _row(method: Method, found: Mapping[str, Json], group: str) -> list[str]:
     s = found[group]
     seconds = s["match_seconds"]
     return [

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
 
-from benchmark.catalogue import MULTI_METHODS, built
+from benchmark.catalogue import MULTI_METHODS, PAIR_METHODS
 from fewview import scans
 from fewview.executor import single_threaded_libraries
 from fewview.types import Frame
@@ -24,7 +24,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
     multi = MULTI_METHODS[options.method]
-    method = built(multi.pairs).make()
+    method = PAIR_METHODS[multi.pairs].make()
     read = scans.load(options.folder).scans
     with single_threaded_libraries(), ThreadPoolExecutor(options.jobs) as pool:
         frames: list[Frame] = list(pool.map(lambda scan: scan.load(), read))

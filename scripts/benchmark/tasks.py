@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from benchmark.catalogue import Method, MultiMethod, built
+from benchmark.catalogue import PAIR_METHODS, Method, MultiMethod
 from benchmark.methods.interface import Answer, PairMethod, Placement
 from benchmark.run import run
 from benchmark.scenes import Scene
@@ -116,7 +116,7 @@ class SetTask:
     @property
     def turns(self) -> TurnsTask:
         """What is to be known before the pairs."""
-        return TurnsTask(self.store, built(self.method.pairs), self.scene, self.names)
+        return TurnsTask(self.store, PAIR_METHODS[self.method.pairs], self.scene, self.names)
 
     def pairs(self) -> dict[tuple[int, int], PairTask]:
         """What is to be known before the set; needs `turns`."""
@@ -125,7 +125,7 @@ class SetTask:
         return {
             (i, j): PairTask(
                 self.store,
-                built(self.method.pairs),
+                PAIR_METHODS[self.method.pairs],
                 self.scene,
                 self.names[i],
                 self.names[j],
