@@ -10,7 +10,6 @@ import pytest
 
 from benchmark import command, pair_table, scoring
 from benchmark.catalogue import PAIR_METHODS
-from benchmark.table import NOT_BUILT
 from fewview import synthetic
 
 Json = dict[str, Any]
@@ -58,8 +57,7 @@ def test_table_from_end_to_end(options: argparse.Namespace) -> None:
     results, text = pair_table.make(options, methods, "Test")
     assert results["methods"]["identity"]["overlap"]["all"]["count"] == 4
     assert results["difficulty"]["pairs"] == 4
-    waiting = [line for line in text.splitlines() if line.startswith("| ScanComplete")]
-    assert waiting and all(NOT_BUILT in line and "0." not in line for line in waiting)
+    assert sum(line.startswith("| ScanComplete") for line in text.splitlines()) > 1
     before = {p.name: p.read_bytes() for p in options.out.parent.iterdir()}
     pair_table.make(options, methods, "Test")
     assert {p.name: p.read_bytes() for p in options.out.parent.iterdir()} == before
