@@ -24,6 +24,7 @@ from fewview.types import Array, BoolArray, FloatArray, IntArray, Intrinsics, Ri
 MIN_PIXELS = 30
 MIN_SHARE = 0.4
 UPRIGHT = 0.95
+SAMPLES = 4
 
 
 def scan_ring(
@@ -35,6 +36,9 @@ def scan_ring(
 ) -> RingScan:
     """The ring of a scan along the walls that it shows, or along its heading if it shows none.
 
+    Of a fine image every few pixels are used, so many that a ring's pixel still averages over
+    about `SAMPLES` of them a side.
+
     Args:
         depth: (H, W) metres, 0 unknown.
         colour: (H, W, 3) of the same pixels.
@@ -42,10 +46,24 @@ def scan_ring(
         up: (3,) upward direction in the scan's frame.
         size: S of the ring.
     """
+    step = max(1, int(intrinsics.fx / (SAMPLES * size / 2)))
+    depth, colour, intrinsics = (
+        depth[::step, ::step],
+        colour[::step, ::step],
+        _thinned(intrinsics, step),
+    )
     level_T_scan = heading_frame(up)
     ahead = project_scan(depth, colour, intrinsics, level_T_scan, size)
     turned = about_vertical(-wall_azimuth(seen_normals(ahead.depth))) @ level_T_scan
     return project_scan(depth, colour, intrinsics, turned, size)
+
+
+def _thinned(camera: Intrinsics, step: int) -> Intrinsics:
+    """The camera of an image of which every ``step``-th row and column are kept."""
+    width, height = -(-camera.width // step), -(-camera.height // step)
+    return Intrinsics(
+        width, height, camera.fx / step, camera.fy / step, camera.cx / step, camera.cy / step
+    )
 
 
 def wall_azimuth(normals: FloatArray) -> float:
