@@ -35,15 +35,20 @@ def log_components(
         for i, world_T_scan in poses.items():
             name = scans[i].name
             stream.log(layout.path(layout.UNPLACED, name), rr.Clear(recursive=True))
-            place = layout.path(root, "scans", name)
+            place = layout.path(root, layout.SCANS, name)
             scene.log_points(stream, place, scans[i], world_T_scan)
             scene.log_camera(stream, place, scans[i])
+            scene.log_room_shape(stream, place, scans[i].room)
         centres = np.stack([pose[:3, 3] for pose in poses.values()])
         scene.log_labels(stream, layout.path(root, "names"), centres, [labels[i] for i in poses])
         _log_pose_graphs(stream, layout.path(root, "pose_graph"), pairs, solution, poses)
-        surface = np.concatenate([se3.transform(p, scans[i].points) for i, p in poses.items()])
-        eye = layout.eye(np.concatenate([surface, centres]), centres)
-        spaces.append(Space(index, tuple(scans[i].name for i in poses), centres, eye))
+        surface = _joined(poses, [scan.points for scan in scans])
+        predicted = _joined(poses, [scan.room.vertices for scan in scans])
+        eyes = (
+            layout.eye(np.concatenate([points, centres]), centres)
+            for points in (surface, np.concatenate([surface, predicted]))
+        )
+        spaces.append(Space(index, tuple(scans[i].name for i in poses), centres, *eyes))
     return spaces
 
 
@@ -60,6 +65,7 @@ def log_unplaced(
         text = f"{scan.name}: {placement.reason or 'not placed'}"
         shelf = layout.path(layout.UNPLACED, scan.name)
         scene.log_points(stream, shelf, scan, scene.gallery_T_scan(i, scan.levelling))
+        scene.log_room_shape(stream, shelf, scan.room)
         scene.log_labels(stream, f"{shelf}/name", np.zeros((1, 3)), [text])
         stream.log("log", rr.TextLog(f"not placed: {text}", level=rr.TextLogLevel.WARN))
     return scene.gallery_eye(len(left)) if left else None
@@ -89,6 +95,11 @@ def log_pairs(
 def _poses(solution: GlobalSolution, members: Sequence[int]) -> dict[int, Array]:
     poses = {i: solution.placements[i].world_T_scan for i in members}
     return {i: pose for i, pose in poses.items() if pose is not None}
+
+
+def _joined(poses: Mapping[int, Array], clouds: Sequence[Array]) -> Array:
+    """(n, 3) the points of some scans in the world."""
+    return np.concatenate([se3.transform(p, clouds[i]) for i, p in poses.items()])
 
 
 def _log_pose_graphs(

@@ -5,17 +5,28 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import Flag, IntEnum, auto
+from functools import reduce
+from operator import or_
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TextLogColumn
 
-from fewview.types import Array
+from fewview.types import Array, CompletedRoom
 
 TIMELINE = "step"
+SCANS = "scans"
+ROOMS = "rooms"
 UNPLACED = "unplaced"
+RING_TITLES = {
+    "semantics": "Semantics",
+    "depth": "Depth",
+    "normals": "Normals",
+    "confidence": "Confidence",
+}
+"""Entities and names of the pictures that show the seen above the completed 360-image."""
 MAX_PAIR_VIEWS = 8
 HALF_VIEW = 0.9 * float(np.tan(np.radians(55.0 / 2)))
 """Tangent of half the viewer's vertical field of view, less a margin for labels and frusta."""
@@ -44,6 +55,20 @@ class Eye:
     target: Array
 
 
+class RoomParts(Flag):
+    """Which representations of the completed rooms there are."""
+
+    PANORAMA = auto()
+    LAYOUT = auto()
+    PLANES = auto()
+
+    @classmethod
+    def of(cls, room: CompletedRoom) -> RoomParts:
+        """Those of one scan."""
+        parts = {cls.PANORAMA: room.panorama, cls.LAYOUT: room.layout, cls.PLANES: room.planes}
+        return reduce(or_, (part for part, made in parts.items() if made is not None), cls(0))
+
+
 @dataclass(frozen=True)
 class Space:
     """One component: a world frame of its own, unrelated to the others.
@@ -52,13 +77,15 @@ class Space:
         component: its number.
         scans: the names of its scans.
         centres: (n, 3) where their cameras stand.
-        eye: where its view looks from.
+        eye: where the view of the answer looks from.
+        rooms_eye: where the view of the completed rooms looks from.
     """
 
     component: int
     scans: tuple[str, ...]
     centres: Array
     eye: Eye
+    rooms_eye: Eye
 
     @property
     def root(self) -> str:
@@ -129,6 +156,7 @@ def blueprint(
     spaces: Sequence[Space],
     gallery: Eye | None,
     pairs: Sequence[tuple[int, int]],
+    rooms: RoomParts,
 ) -> rrb.Blueprint:
     """The answer in 3D at the left, what it rests on at the right.
 
@@ -137,17 +165,18 @@ def blueprint(
         spaces: the components, largest first; empty while nothing is solved.
         gallery: where to look at scans outside all components, None when there are none.
         pairs: source and target of the recorded pairs, the most telling first.
+        rooms: what is recorded of the completed rooms.
     """
     spatial: list[rrb.View | rrb.Container] = [_component_view(s) for s in spaces]
+    if rooms & (RoomParts.PANORAMA | RoomParts.PLANES):
+        spatial += [_rooms_view(s) for s in spaces]
     if gallery is not None:
-        view = rrb.Spatial3DView(
-            origin=UNPLACED, name="Scans not placed", eye_controls=_controls(gallery)
-        )
-        spatial.append(view)
+        spatial.append(_gallery_view(names, gallery))
     evidence = rrb.Tabs(
         rrb.TextDocumentView(origin="summary", name="Summary"),
-        _image_grid(names, "rgb", "Images"),
-        _image_grid(names, "depth", "Depth"),
+        _image_grid(names, SCANS, "rgb", "Images"),
+        _image_grid(names, SCANS, "depth", "Depth"),
+        *_room_pictures(names, rooms),
         _pair_grid(names, pairs),
         rrb.TextDocumentView(origin="candidates", name="Candidates"),
         active_tab=0,
@@ -169,11 +198,29 @@ def blueprint(
 
 
 def _component_view(space: Space) -> rrb.View:
+    name = "Answer" if space.component == 0 else f"Component {space.component}"
+    return _spatial(space.root, name, space.eye, _hidden(space))
+
+
+def _rooms_view(space: Space) -> rrb.View:
+    """What the scans measured, with the points and planes that completion adds."""
+    name = "Rooms" if space.component == 0 else f"Rooms of component {space.component}"
+    depths = (path(space.root, SCANS, scan, "image", "depth") for scan in space.scans)
+    answer = (path(space.root, "components"), path(space.root, "pose_graph"))
+    return _spatial(space.root, name, space.rooms_eye, (*answer, *depths))
+
+
+def _gallery_view(names: Sequence[str], eye: Eye) -> rrb.View:
+    rooms = (path(UNPLACED, name, "room") for name in names)
+    return _spatial(UNPLACED, "Scans not placed", eye, rooms)
+
+
+def _spatial(root: str, name: str, eye: Eye, hidden: Iterable[str]) -> rrb.View:
     return rrb.Spatial3DView(
-        origin=space.root,
-        name="Answer" if space.component == 0 else f"Component {space.component}",
-        eye_controls=_controls(space.eye),
-        overrides={p: rrb.EntityBehavior(visible=False) for p in _hidden(space)},
+        origin=root,
+        name=name,
+        eye_controls=_controls(eye),
+        overrides={p: rrb.EntityBehavior(visible=False) for p in hidden},
     )
 
 
@@ -186,16 +233,28 @@ def _hidden(space: Space) -> Iterable[str]:
     yield path(space.root, "pose_graph", "before")
     yield path(space.root, "pose_graph", "rejected")
     for name in space.scans:
-        yield path(space.root, "scans", name, "points")
-        yield path(space.root, "scans", name, "image", "depth")
+        yield path(space.root, SCANS, name, "points")
+        yield path(space.root, SCANS, name, "image", "depth")
+        yield path(space.root, SCANS, name, "room")
 
 
-def _image_grid(names: Sequence[str], image: str, title: str) -> rrb.Container:
+def _image_grid(names: Sequence[str], root: str, image: str, title: str) -> rrb.Container:
     views = [
-        rrb.Spatial2DView(origin=path("scans", name, image), name=label)
+        rrb.Spatial2DView(origin=path(root, name, image), name=label)
         for name, label in zip(names, short(names), strict=True)
     ]
     return rrb.Grid(*views, name=title)
+
+
+def _room_pictures(names: Sequence[str], rooms: RoomParts) -> list[rrb.Container]:
+    """One tab, or none: the 360-images, seen above completed, over the layouts."""
+    parts: list[rrb.Container] = []
+    if RoomParts.PANORAMA in rooms:
+        grids = (_image_grid(names, ROOMS, image, title) for image, title in RING_TITLES.items())
+        parts.append(rrb.Tabs(*grids, active_tab=0))
+    if RoomParts.LAYOUT in rooms:
+        parts.append(_image_grid(names, ROOMS, "layout", "Layouts"))
+    return [rrb.Vertical(*parts, name="Rooms")] if parts else []
 
 
 def _pair_grid(names: Sequence[str], pairs: Sequence[tuple[int, int]]) -> rrb.Container:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fewview.geometry import camera
+from fewview.recording.rooms import RoomShape, room_shape
 from fewview.types import (
     Array,
     BoolArray,
@@ -46,6 +47,7 @@ class Preview:
         point_colours: (n, 3) uint8 RGB.
         pixels: per feature kind, (n, 2) preview pixels of all features, NaN outside the image.
         levelling: how the scan stands.
+        room: the room around it as completed.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Preview:
     point_colours: Image
     pixels: Mapping[str, FloatArray]
     levelling: Levelling
+    room: RoomShape
 
 
 def preview(frame: Frame, completed: CompletedScan) -> Preview:
@@ -73,6 +76,7 @@ def preview(frame: Frame, completed: CompletedScan) -> Preview:
         _colours_of(points, small),
         pixels,
         completed.levelling,
+        room_shape(completed.room),
     )
 
 
@@ -96,10 +100,19 @@ def jpeg(colour: Image, quality: int = 85) -> bytes:
     return bytes(data)
 
 
-def png(depth: FloatArray) -> bytes:
+def depth_png(depth: FloatArray) -> bytes:
     """A depth image in metres as 16-bit PNG in millimetres."""
     millimetres = np.clip(np.nan_to_num(depth) * 1000.0, 0, 65535).round().astype(np.uint16)
-    _, data = cv2.imencode(".png", millimetres, [cv2.IMWRITE_PNG_COMPRESSION, 3])
+    return _png(millimetres, 3)
+
+
+def png(colour: Image) -> bytes:
+    """An RGB image as PNG."""
+    return _png(cv2.cvtColor(colour, cv2.COLOR_RGB2BGR), 9)
+
+
+def _png(values: NDArray[Any], compression: int) -> bytes:
+    _, data = cv2.imencode(".png", values, [cv2.IMWRITE_PNG_COMPRESSION, compression])
     return bytes(data)
 
 

@@ -14,7 +14,7 @@ import rerun as rr
 
 from fewview.errors import FewviewError
 from fewview.recording import answer, layout, pictures, scene, tables, viewer
-from fewview.recording.layout import Eye, Space, Step
+from fewview.recording.layout import Eye, RoomParts, Space, Step
 from fewview.recording.pictures import Preview
 from fewview.types import (
     ColouredMesh,
@@ -58,6 +58,7 @@ class Recorder:
         self._spaces: list[Space] = []
         self._gallery: Eye | None = None
         self._shown: list[tuple[int, int]] = []
+        self._rooms = RoomParts(0)
         self._answer = ""
 
     def __enter__(self) -> Self:
@@ -83,14 +84,17 @@ class Recorder:
             self.log(note)
         if self._live:
             gallery = scene.gallery_eye(len(self._names))
-            self._stream.send_blueprint(layout.blueprint(self._names, (), gallery, ()))
+            parts = (self._names, (), gallery, (), self._rooms)
+            self._stream.send_blueprint(layout.blueprint(*parts))
 
     def scan_completed(self, index: int, frame: Frame, completed: CompletedScan) -> None:
         """Show a scan in a gallery of scans whose poses are not known yet."""
         self._at(Step.SCANS)
         scan = pictures.preview(frame, completed)
         self._previews.append(scan)
+        self._rooms |= RoomParts.of(completed.room)
         scene.log_inputs(self._stream, scan.name, frame)
+        scene.log_room_pictures(self._stream, scan.name, completed.room)
         place = scene.gallery_T_scan(index, scan.levelling)
         shelf = layout.path(layout.UNPLACED, scan.name)
         scene.log_points(self._stream, shelf, scan, place)
@@ -114,7 +118,8 @@ class Recorder:
         self._spaces = answer.log_components(stream, scans, pairs, solution)
         self._gallery = answer.log_unplaced(stream, scans, solution)
         self._shown = answer.log_pairs(stream, scans, pairs, solution)
-        self._answer = tables.answer(solution)
+        rooms = {scan.name: scan.room for scan in scans}
+        self._answer = f"{tables.answer(solution)}\n\n{tables.rooms(rooms)}".rstrip()
         self.log(solution.headline)
         scene.log_text(self._stream, "summary", self._answer)
         scene.log_text(
@@ -175,7 +180,7 @@ class Recorder:
             raise FewviewError(f"cannot write the recording {self._path}: {error}") from error
 
     def _send_layout(self) -> None:
-        parts = (self._names, self._spaces, self._gallery, self._shown)
+        parts = (self._names, self._spaces, self._gallery, self._shown, self._rooms)
         self._stream.send_blueprint(layout.blueprint(*parts))
 
     def _at(self, step: Step) -> None:

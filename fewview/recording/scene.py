@@ -12,13 +12,17 @@ import numpy as np
 import rerun as rr
 from scipy.spatial.transform import Rotation
 
+from fewview.completion.panorama import CLASSES
 from fewview.geometry import se3
-from fewview.recording import layout, pictures
+from fewview.recording import layout, pictures, room_pictures
 from fewview.recording.layout import Eye
 from fewview.recording.pictures import Image, Preview
+from fewview.recording.rooms import CLASS_COLOURS, RoomShape
 from fewview.types import (
     Array,
     ColouredMesh,
+    CompletedRoom,
+    FloatArray,
     Frame,
     Intrinsics,
     Levelling,
@@ -27,6 +31,10 @@ from fewview.types import (
 
 CAMERA_SIZE_M = 0.25
 POINT_RADIUS_M = 0.015
+PREDICTED_RADIUS_M = 0.008
+PLANE_COLOURS = {True: (70, 220, 130), False: (255, 150, 40)}
+"""Of planes that a scan shows part of, and of planes that are predicted."""
+PLANE_OPACITY = 24
 GALLERY_STEP_M = 5.0
 GALLERY_COLUMNS = 5
 KIND_COLOURS = (
@@ -41,8 +49,8 @@ KIND_COLOURS = (
 def log_inputs(stream: rr.RecordingStream, name: str, frame: Frame) -> None:
     """The images of a scan as read, at most `pictures.INPUT_WIDTH` wide."""
     images = pictures.reduced(frame, pictures.INPUT_WIDTH)
-    stream.log(layout.path("scans", name, "rgb"), _rgb(images.colour))
-    stream.log(layout.path("scans", name, "depth"), _depth(images))
+    stream.log(layout.path(layout.SCANS, name, "rgb"), _rgb(images.colour))
+    stream.log(layout.path(layout.SCANS, name, "depth"), _depth(images.depth))
 
 
 def log_points(stream: rr.RecordingStream, root: str, scan: Preview, root_T_scan: Array) -> None:
@@ -56,7 +64,37 @@ def log_camera(stream: rr.RecordingStream, root: str, scan: Preview) -> None:
     """The camera of a scan with its images, below the place ``root`` of the scan."""
     stream.log(f"{root}/image", _pinhole(scan.intrinsics))
     stream.log(f"{root}/image/rgb", _rgb(scan.colour))
-    stream.log(f"{root}/image/depth", _depth(Frame(scan.colour, scan.depth, scan.intrinsics)))
+    stream.log(f"{root}/image/depth", _depth(scan.depth))
+
+
+def log_room_pictures(stream: rr.RecordingStream, name: str, room: CompletedRoom) -> None:
+    """What a scan shows of its room beside what the networks make of it."""
+    root = layout.path(layout.ROOMS, name)
+    if room.panorama is not None:
+        rings = room_pictures.ring_pictures(room.ring, room.panorama)
+        stream.log(f"{root}/depth", _depth(rings.depth, room_pictures.FARTHEST_M))
+        stream.log(f"{root}/semantics", rr.SegmentationImage(rings.semantics), _classes())
+        stream.log(f"{root}/normals", _lossless(rings.normals))
+        stream.log(f"{root}/confidence", _lossless(rings.confidence))
+    if room.layout is not None:
+        picture = room_pictures.layout_picture(room.layout)
+        stream.log(f"{root}/layout", _lossless(picture))
+
+
+def log_room_shape(stream: rr.RecordingStream, place: str, room: RoomShape) -> None:
+    """The predicted points and the structural planes of a scan, below its place."""
+    root = f"{place}/room"
+    if len(room.points):
+        cloud = rr.Points3D(room.points, colors=room.point_colours, radii=PREDICTED_RADIUS_M)
+        stream.log(f"{root}/points", cloud)
+    for observed, entity in ((True, "seen_planes"), (False, "predicted_planes")):
+        corners = room.rectangles[room.observed == observed]
+        if len(corners):
+            colour = PLANE_COLOURS[observed]
+            outlines = np.concatenate([corners, corners[:, :1]], axis=1)
+            strips = rr.LineStrips3D(outlines, colors=colour, radii=rr.Radius.ui_points(1.0))
+            stream.log(f"{root}/{entity}", strips)
+            stream.log(f"{root}/{entity}/faces", _faces(corners, (*colour, PLANE_OPACITY)))
 
 
 def log_labels(
@@ -162,8 +200,36 @@ def _rgb(colour: Image) -> rr.EncodedImage:
     return rr.EncodedImage(contents=pictures.jpeg(colour), media_type="image/jpeg")
 
 
-def _depth(frame: Frame) -> rr.EncodedDepthImage:
-    return rr.EncodedDepthImage(pictures.png(frame.depth), media_type="image/png", meter=1000.0)
+def _classes() -> rr.AnnotationContext:
+    """Names and colours of what completed 360-images show."""
+    classes = zip(range(len(CLASSES)), CLASSES, CLASS_COLOURS.tolist(), strict=True)
+    return rr.AnnotationContext(list(classes))
+
+
+def _lossless(picture: Image) -> rr.EncodedImage:
+    return rr.EncodedImage(contents=pictures.png(picture), media_type="image/png")
+
+
+def _faces(corners: Array, rgba: tuple[int, ...]) -> rr.Mesh3D:
+    """Rectangles (n, 4, 3) in one colour, seen from where their corners turn to the left."""
+    first = 4 * np.arange(len(corners))[:, None, None]
+    triangles = (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+    return rr.Mesh3D(
+        vertex_positions=corners.reshape(-1, 3),
+        triangle_indices=triangles.astype(np.uint32),
+        albedo_factor=rgba,
+        face_rendering=rr.components.MeshFaceRendering.Front,
+    )
+
+
+def _depth(depth: FloatArray, farthest_m: float | None = None) -> rr.EncodedDepthImage:
+    """Depth in metres; ``farthest_m`` gets the last colour, else the largest value does."""
+    return rr.EncodedDepthImage(
+        pictures.depth_png(depth),
+        media_type="image/png",
+        meter=1000.0,
+        depth_range=None if farthest_m is None else (0.0, 1000.0 * farthest_m),
+    )
 
 
 def _transform(parent_T_child: Array) -> rr.Transform3D:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
+from fewview.recording.rooms import RoomShape
 from fewview.types import (
     GlobalSolution,
     PairResult,
@@ -59,6 +60,19 @@ def candidates(
     return _table(("pair", *_CANDIDATE), rows)
 
 
+def rooms(shapes: Mapping[str, RoomShape]) -> str:
+    """How completed rooms are drawn, and their walls; empty where nothing was completed."""
+    rows = [
+        (name, str(shape.walls(observed=True)), str(shape.walls(observed=False)), f"{height:.2f} m")
+        for name, shape in shapes.items()
+        if (height := shape.height) is not None
+    ]
+    head = ("scan", "walls seen", "walls predicted", "floor to ceiling")
+    table = [_table(head, rows)] if rows else []
+    drawn = any(len(shape.vertices) for shape in shapes.values())
+    return "\n\n".join(["## Rooms", _ROOMS_KEY, *table]) if drawn else ""
+
+
 def timings(timings_s: Mapping[str, float]) -> str:
     """Wall seconds per stage, as rows to append to the answer."""
     total = sum(timings_s.values())
@@ -73,6 +87,12 @@ def escaped(text: str) -> str:
     return re.sub(r"([\\`*_{}\[\]<>|#~])", r"\\\1", " ".join(text.split()))
 
 
+_ROOMS_KEY = (
+    "What networks make of the surroundings of each scan. Pictures: each ring as seen above the "
+    "same ring completed; layouts from above, what was seen in full colours, the rest pale. "
+    "In space: planes that a scan shows are green, predicted ones orange; predicted points have "
+    "the colours of their classes."
+)
 _CANDIDATE = (
     "rank",
     "probability",
