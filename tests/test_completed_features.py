@@ -204,8 +204,16 @@ def test_matches_are_at_one_height_and_lean_alike(scans: list[CompletedScan]) ->
     assert len(matches) > 100
     assert np.abs(heights[0] - heights[1]).max() < room_matches.HEIGHT_M
     assert np.abs(lean).max() < room_matches.INCLINATION
-    assert matches.similarity.max() <= CONFIDENCE**2 + 1e-6
+    assert matches.similarity.max() <= CONFIDENCE + 1e-6
     assert np.bincount(matches.indices[:, 0]).max() <= room_matches.BEST
+
+
+def test_of_two_matched_features_one_is_predicted(scans: list[CompletedScan]) -> None:
+    features = scans[0].features["panorama"]
+    matches = Panorama().correspond(scans[0], scans[0])
+    observed = features.observed[matches.indices]
+    assert features.observed.sum() > 20
+    assert observed.any() and not observed.all(axis=1).any()
 
 
 def test_the_floor_is_the_seen_one_or_else_predicted(scans: list[CompletedScan]) -> None:

@@ -45,14 +45,17 @@ def correspond(
 ) -> Correspondences:
     """The `BEST` matches of each feature that levelling allows, at most ``limit``.
 
-    The similarity s_c is that of the descriptors times the confidence of both features.
+    The similarity s_c is that of the descriptors times the mean confidence of both features. At
+    least one of the two is predicted: what both scans saw is for the observed kinds to match, and
+    between scans of different places it would outweigh all that is right.
     """
     a, b = source.features[kind.name], target.features[kind.name]
     if not (len(a) and len(b)):
         return no_correspondences(kind, scales)
     squared = _squared_distance(a.descriptors, b.descriptors)
     similarity = np.exp(-squared / (2.0 * DESCRIPTOR_SCALE**2))
-    similarity *= a.confidence[:, None] * b.confidence[None]
+    similarity *= np.sqrt(a.confidence[:, None] * b.confidence[None])
+    similarity *= ~(a.observed[:, None] & b.observed[None])
     similarity *= _alike_when_levelled(source, target, a, b)
     kept = np.argwhere(_among_best(similarity, 0) & _among_best(similarity, 1))
     weight = similarity[kept[:, 0], kept[:, 1]].astype(np.float32)
