@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fewview.types import Array, BoolArray
+from fewview.types import Array, BoolArray, FloatArray
 
 Json = dict[str, Any]
 
@@ -37,7 +37,7 @@ def reliability(probability: Array, right: BoolArray, bins: int = 10) -> tuple[B
     return bins_of(reliability_counts(probability, right, bins))
 
 
-def reliability_counts(probability: Array, right: BoolArray, bins: int = 10) -> Array:
+def reliability_counts(probability: Array | FloatArray, right: BoolArray, bins: int = 10) -> Array:
     """(bins, 3) number of answers, their summed probability, and how many of them were right.
 
     Those of several sets of answers add up; see `reliability` and `bins_of`.

@@ -23,19 +23,19 @@ def confusion(truth: NDArray[Any], answer: NDArray[Any], classes: int) -> IntArr
     return np.asarray(counts.reshape(classes, classes), np.int64)
 
 
-def ious(counts: IntArray) -> Array:
+def ious(counts: NDArray[Any]) -> Array:
     """(classes,) intersection over union of each class; NaN where it is neither true nor told."""
     hit = np.diagonal(counts).astype(np.float64)
     union = counts.sum(axis=0) + counts.sum(axis=1) - hit
     return np.asarray(np.divide(hit, union, out=np.full(len(hit), np.nan), where=union > 0))
 
 
-def mean_iou(counts: IntArray) -> float:
+def mean_iou(counts: NDArray[Any]) -> float:
     """Mean `ious` of the classes that occur in the truth, each counted the same; NaN for none."""
     true = counts.sum(axis=1) > 0
     return float(ious(counts)[true].mean()) if true.any() else float("nan")
 
 
-def accuracy(counts: IntArray) -> float:
+def accuracy(counts: NDArray[Any]) -> float:
     """Share of right answers; NaN for none at all."""
     return float(np.trace(counts) / counts.sum()) if counts.any() else float("nan")
