@@ -64,6 +64,8 @@ def test_the_probability_around_a_proposed_pose_is_its_own(network: AlignerNetwo
     poses = alignment.best(4)
     np.testing.assert_allclose(alignment.log_mass(poses.target_T_source), poses.log_mass, atol=0.3)
     assert alignment.mass.sum() == pytest.approx(9.0, abs=0.01)
+    yaws = [pose_of(EMPTY, EMPTY, k * np.pi / 2, np.zeros(2)) for k in range(YAWS)]
+    assert np.exp(alignment.log_yaw(np.stack(yaws))).sum() == pytest.approx(1.0, abs=1e-3)
 
 
 def test_poses_out_of_reach_and_oblique_ones_are_impossible(network: AlignerNetwork) -> None:

@@ -86,7 +86,9 @@ class Alignment:
         with torch.inference_mode():
             logits = network.logits(source.spectra.source, target.spectra.target)[0]
         self.source, self.target = source.drawing, target.drawing
-        self.mass: FloatArray = _around(logits.flatten().softmax(dim=0).view_as(logits)).numpy()
+        chance = logits.flatten().softmax(dim=0).view_as(logits)
+        self.mass: FloatArray = _around(chance).numpy()
+        self.yaws: FloatArray = chance.sum(dim=(1, 2)).numpy()
 
     def best(self, count: int) -> RoomPoses:
         """The ``count`` poses with most probability around them, none within another's
@@ -113,6 +115,12 @@ class Alignment:
         row, column = np.where(known[:, None], index, 0).T % SHIFTS
         mass = self.mass[turns.astype(np.int64) % YAWS, row, column]
         return np.where(known, np.log(np.maximum(mass, np.exp(NEVER))), NEVER)
+
+    def log_yaw(self, target_T_source: Array) -> Array:
+        """(K,) logarithm of the probability of the yaws of (K, 4, 4) poses, whatever the shift."""
+        motion = planar_motion(self.source, self.target, target_T_source)
+        turns = np.rint(motion[:, 0] / QUARTER).astype(np.int64) % YAWS
+        return np.asarray(np.log(np.maximum(self.yaws[turns], np.exp(NEVER))), dtype=np.float64)
 
     def _peak(self, yaw: int, row: int, column: int) -> Array:
         """The centre of the probability around a cell, metres."""

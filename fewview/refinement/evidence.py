@@ -82,10 +82,11 @@ def gather(
         "tilt": np.minimum(tilt, 0.35),
         "floor_gap": np.minimum(floor_gap, 0.5),
         "yaw": yaw,
+        "facing": poses[:, 2, 2],
         **{o.value: np.array([x is o for x in origins], dtype=float) for o in PROPOSED_FROM_ABOVE},
     }
     columns["raster"] = columns["manhattan"] * scores / 100.0
-    for name in ("overlap", "upright", "violation", "looseness", "colour"):
+    for name in ("overlap", "upright", "violation", "looseness", "colour", "facing"):
         columns[f"alone_{name}"] = geometry_alone * columns[name]
     for name, values in room_evidence(source, target, poses).items():
         columns |= {name: values, f"alone_{name}": geometry_alone * values}
