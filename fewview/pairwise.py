@@ -103,7 +103,7 @@ def weigh_pair(source: PreparedScan, target: PreparedScan, config: Config) -> We
     refined = _refine(source, target, proposals, matches, config)
     poses = refined.target_T_source
     support = _support(matches, poses)
-    chosen = _different(source, target, poses, support, config)
+    chosen = _different(source, target, poses, support[:, : len(observed)], config)
     poses, support = poses[chosen], support[chosen]
     kept = tuple(origins[k] for k in chosen)
     covariance = refined.covariance[chosen]
@@ -199,8 +199,8 @@ def _different(
     support: BoolArray,
     config: Config,
 ) -> IntArray:
-    """Indices of poses that are different answers; of near-duplicates the one that more features
-    and surface agree with."""
+    """Indices of poses that are different answers; of near-duplicates the one that more seen
+    features (support) and surface agree with."""
     visible = evidence.visible_agreement(source, target, poses)
     strength = np.log1p(support.sum(axis=1)) + 3.0 * (visible.on_surface - 2.0 * visible.in_front)
     angle = np.radians(config.matching.duplicate_angle_deg)

@@ -15,7 +15,14 @@ import fewview
 
 ROOT = Path(fewview.__file__).parent
 GROUND = {"types", "geometry"}
-ALGORITHMS = {"completion", "matching", "refinement", "global_stage"}
+ALGORITHMS = {
+    "completion",
+    "alignment",
+    "verification",
+    "matching",
+    "refinement",
+    "global_stage",
+}
 ESTIMATORS = ALGORITHMS | {"probability", "pairwise", "fusion", "pipeline"}
 ALLOWED: Mapping[str, set[str]] = {
     "types": set(),
@@ -27,7 +34,17 @@ ALLOWED: Mapping[str, set[str]] = {
     "pairwise": GROUND | ALGORITHMS | {"config", "errors", "weights", "probability"},
     "fusion": GROUND | {"config", "errors"},
     "weights": {"errors"},
-    "training": GROUND | {"completion", "synthetic", "evaluation", "config", "errors", "weights"},
+    "training": GROUND
+    | {
+        "completion",
+        "alignment",
+        "verification",
+        "synthetic",
+        "evaluation",
+        "config",
+        "errors",
+        "weights",
+    },
     "ply": GROUND | {"errors"},
     "scans": GROUND | {"config", "errors"},
     "recording": GROUND | ALGORITHMS | {"config", "errors"},

@@ -7,20 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fewview.completion import KINDS
 from fewview.geometry import se3
 from fewview.geometry.camera import project
 from fewview.matching.consistency import CandidateMatches
 from fewview.matching.prepared import PreparedScan
 from fewview.refinement.room_evidence import room_evidence
+from fewview.refinement.support import Support
 from fewview.types import (
     Array,
     BoolArray,
     CandidateOrigin,
     Evidence,
-    IntArray,
     Levelling,
-    Representation,
 )
 
 NEAR_M = 0.08
@@ -57,19 +55,10 @@ def gather(
     visible = visible_agreement(source, target, poses)
     tilt, floor_gap = gravity_disagreement(source.scan.levelling, target.scan.levelling, poses)
     yaw = yaw_disagreement(source.scan.levelling, target.scan.levelling, poses)
-    per_kind = {kind.name: np.zeros(len(poses), dtype=np.int64) for kind in KINDS}
-    for i, name in enumerate(matches.kinds):
-        per_kind[name] = _unique_support(matches, support, i)
-    points = np.zeros(len(poses))
-    for name, scales in matches.kinds.items():
-        points += per_kind[name] * scales.fixed_point
-    lead = np.clip(np.log1p(points) - _best_other(np.log1p(points)), -2.0, 2.0)
-    geometry_alone = np.exp(-points / FEW_POINTS)
+    features = Support.of(matches, support)
+    geometry_alone = np.exp(-features.points / FEW_POINTS)
     columns = {
-        **{name: np.log1p(count) for name, count in per_kind.items()},
-        "share": points / (10.0 + len(matches)),
-        "lead": lead,
-        "spread": np.array([_spread(matches.source[s]) for s in support]),
+        **features.columns,
         "overlap": surface.overlap,
         "residual": surface.residual_m,
         "colour": surface.colour_gap,
@@ -95,7 +84,7 @@ def gather(
             float(surface.residual_m[k]),
             float(surface.overlap[k]),
             float(visible.in_front[k]),
-            _by_representation(per_kind, k),
+            features.by_representation(k),
             {name: float(values[k]) for name, values in columns.items()},
         )
         for k in range(len(poses))
@@ -235,32 +224,7 @@ def yaw_disagreement(source: Levelling, target: Levelling, target_T_source: Arra
     return np.asarray(np.abs((angle + np.pi / 4) % (np.pi / 2) - np.pi / 4))
 
 
-def _unique_support(matches: CandidateMatches, support: BoolArray, kind: int) -> IntArray:
-    """(K,) number of different source features of a kind among the supporting correspondences."""
-    own = matches.kind == kind
-    return np.array([len(np.unique(matches.indices[s & own, 0])) for s in support], dtype=np.int64)
-
-
-def _by_representation(per_kind: dict[str, IntArray], k: int) -> dict[Representation, int]:
-    counts = dict.fromkeys(Representation, 0)
-    for kind in KINDS:
-        counts[kind.representation] += int(per_kind[kind.name][k])
-    return counts
-
-
 def _looseness(covariance: Array) -> Array:
     """(K,) log10 of the largest standard deviation of the translation, in 0.1 mm, capped."""
     variance = np.linalg.eigvalsh(covariance[:, 3:, 3:])[:, -1]
     return np.asarray(np.clip(np.log10(np.sqrt(variance) / 1e-4), 0.0, 4.0))
-
-
-def _spread(points: Array) -> float:
-    """How well points pin down a rotation: their second largest standard deviation, metres."""
-    if len(points) < 3:
-        return 0.0
-    return float(np.sqrt(max(np.linalg.eigvalsh(np.cov(points.T))[1], 0.0)))
-
-
-def _best_other(values: Array) -> Array:
-    """For each entry the largest of the others, 0 when alone."""
-    return np.array([np.delete(values, k).max(initial=0.0) for k in range(len(values))])

@@ -21,9 +21,10 @@ def room_evidence(source: PreparedScan, target: PreparedScan, poses: Array) -> d
     """Named quantities (K,) of (K, 4, 4) poses target_T_source; none without completed rooms.
 
     ``aligner``: log probability that the aligner leaves around the pose, ``aligner_yaw``: to its
-    yaw; ``verifier``: logit that the joint drawing is a room. Of the points that one scan saw and that fall where the other
-    predicts: ``met`` share at the predicted depth, ``inside`` share in front of it, ``through``
-    share behind it, all weighted with the prediction's confidence; ``foreseen`` log of how many.
+    yaw; ``verifier``: logit that the joint drawing is a room. Of the points that one scan saw and
+    that fall where the other predicts: ``met`` share at the predicted depth, ``inside`` share in
+    front of it, ``through`` share behind it, all weighted with the prediction's confidence;
+    ``foreseen`` log of how many.
     """
     out: dict[str, Array] = {}
     if source.above is not None and target.above is not None:
