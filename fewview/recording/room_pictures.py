@@ -74,10 +74,10 @@ def panorama_picture(ring: RingScan, panorama: CompletedPanorama) -> Image:
     depth = _mapped(pictures.depth / FARTHEST_M, cv2.COLORMAP_TURBO)
     depth[pictures.depth == 0] = UNSEEN
     blocks = [
-        _titled(f"Depth, dark blue 0 m to dark red {FARTHEST_M:g} m", depth),
-        _titled("Normals, red x, green y, blue up", pictures.normals),
-        _titled("Semantics", CLASS_COLOURS[pictures.semantics]),
-        _titled("Colour as seen; below, confidence from dark 0 to yellow 1", pictures.confidence),
+        _titled(f"Depth, seen and completed: dark blue 0 m to dark red {FARTHEST_M:g} m", depth),
+        _titled("Normals, seen and completed: red x, green y, blue up", pictures.normals),
+        _titled("Semantics, seen and completed", CLASS_COLOURS[pictures.semantics]),
+        _titled("Colour seen, and confidence: dark 0 to yellow 1", pictures.confidence),
     ]
     rows = [_beside(blocks[:2]), _beside(blocks[2:])]
     legend = _legend(CLASSES, CLASS_COLOURS, rows[0].shape[1])

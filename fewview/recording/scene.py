@@ -34,7 +34,7 @@ POINT_RADIUS_M = 0.015
 PREDICTED_RADIUS_M = 0.008
 PLANE_COLOURS = {True: (70, 220, 130), False: (255, 150, 40)}
 """Of planes that a scan shows part of, and of planes that are predicted."""
-PLANE_OPACITY = 24
+PLANE_OPACITY = 12
 GALLERY_STEP_M = 5.0
 GALLERY_COLUMNS = 5
 KIND_COLOURS = (
@@ -92,7 +92,7 @@ def log_room_shape(stream: rr.RecordingStream, place: str, room: RoomShape) -> N
         if len(corners):
             colour = PLANE_COLOURS[observed]
             outlines = np.concatenate([corners, corners[:, :1]], axis=1)
-            strips = rr.LineStrips3D(outlines, colors=colour, radii=rr.Radius.ui_points(1.0))
+            strips = rr.LineStrips3D(outlines, colors=colour, radii=rr.Radius.ui_points(0.6))
             stream.log(f"{root}/{entity}", strips)
             stream.log(f"{root}/{entity}/faces", _faces(corners, (*colour, PLANE_OPACITY)))
 
