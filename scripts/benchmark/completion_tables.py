@@ -12,7 +12,7 @@ from benchmark.completion_scores import (
     plane_figures,
     ring_figures,
 )
-from benchmark.completion_speed import THREADS, Milliseconds
+from benchmark.completion_speed import Milliseconds
 from benchmark.table import Json, Table
 from fewview.completion.layout.grid import CLASSES as GROUND_CLASSES
 from fewview.completion.panorama.network import CLASSES
@@ -162,9 +162,10 @@ def _recall_table(summaries: Mapping[str, Json]) -> Table:
 
 
 def _speed_table(speed: Milliseconds) -> Table:
-    rows = [[name, *(f"{ms[n]:.0f}" for n in THREADS)] for name, ms in speed.items()]
+    columns = list(next(iter(speed.values()), {}))
+    rows = [[name, *(f"{ms[column]:.0f}" for column in columns)] for name, ms in speed.items()]
     note = "Milliseconds for a frame of 640 x 480 pixels that is levelled, best of several runs."
-    return Table("Speed", note, ["", *(f"{n} thread{'s' * (n > 1)}" for n in THREADS)], rows)
+    return Table("Speed", note, ["", *columns], rows)
 
 
 def _ring_rows(summary: Json) -> Iterator[tuple[str, Json]]:
