@@ -102,17 +102,16 @@ def jpeg(colour: Image, quality: int = 85) -> bytes:
 
 def depth_png(depth: FloatArray) -> bytes:
     """A depth image in metres as 16-bit PNG in millimetres."""
-    millimetres = np.clip(np.nan_to_num(depth) * 1000.0, 0, 65535).round().astype(np.uint16)
-    return _png(millimetres, 3)
+    return _png(np.clip(np.nan_to_num(depth) * 1000.0, 0, 65535).round().astype(np.uint16))
 
 
 def png(colour: Image) -> bytes:
     """An RGB image as PNG."""
-    return _png(cv2.cvtColor(colour, cv2.COLOR_RGB2BGR), 9)
+    return _png(cv2.cvtColor(colour, cv2.COLOR_RGB2BGR))
 
 
-def _png(values: NDArray[Any], compression: int) -> bytes:
-    _, data = cv2.imencode(".png", values, [cv2.IMWRITE_PNG_COMPRESSION, compression])
+def _png(values: NDArray[Any]) -> bytes:
+    _, data = cv2.imencode(".png", values, [cv2.IMWRITE_PNG_COMPRESSION, 3])
     return bytes(data)
 
 
