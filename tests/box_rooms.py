@@ -7,7 +7,7 @@ import numpy as np
 from fewview.completion.layout.grid import DOOR, FREE, FURNITURE, WALL, cell_centres
 from fewview.completion.panorama.ring import ring_rays
 from fewview.geometry import se3
-from fewview.synthetic.samples import RoomSample
+from fewview.synthetic.samples import NO_PLANE, RoomSample
 from fewview.types import Array
 
 WALL_NORMALS = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
@@ -25,7 +25,9 @@ def box_room(seed: int, views: int = 2, size: int = 16) -> RoomSample:
     poses = [_level_T_world(rng, half) for _ in range(views)]
     parts = [_view(pose, half, table, size) for pose in poses]
     depth, normal, planes = (np.stack([p[i] for p in parts]).astype(np.float32) for i in range(3))
-    semantics, layout = (np.stack([p[i] for p in parts]).astype(np.uint8) for i in (3, 4))
+    semantics, layout, plane_id = (
+        np.stack([p[i] for p in parts]).astype(np.uint8) for i in (3, 4, 5)
+    )
     colour = np.where((semantics == 6)[..., None], TABLE_COLOUR, COLOURS[np.minimum(semantics, 4)])
     observed = np.zeros(depth.shape, bool)
     observed[:, :, size : 2 * size] = True
@@ -42,6 +44,7 @@ def box_room(seed: int, views: int = 2, size: int = 16) -> RoomSample:
         layout=layout,
         planes=planes,
         plane_kind=kinds,
+        plane_id=plane_id,
     )
 
 
@@ -72,7 +75,8 @@ def _view(level_T_world: Array, half: Array, table: Array, size: int) -> tuple[A
         [levelled, (offsets + levelled @ level_T_world[:3, 3])[:, None]], axis=1
     )
     planes = np.pad(planes, ((0, 1), (0, 0)))
-    return depth, levelled[hit], planes, semantics, _layout(world_T_level, half, table)
+    shown = np.where(semantics == 6, NO_PLANE, hit)
+    return depth, levelled[hit], planes, semantics, _layout(world_T_level, half, table), shown
 
 
 def _planes(half: Array) -> tuple[Array, Array, Array]:

@@ -23,8 +23,8 @@ from fewview.synthetic.frames import trace
 from fewview.synthetic.handheld import look
 from fewview.synthetic.plan import OpeningKind, make_plan, overlap_any, overlaps
 from fewview.synthetic.room import Room, make_room
-from fewview.synthetic.samples import GRID, GRID_CELL_M, RoomSample, room_sample
-from fewview.synthetic.scene import split_seed
+from fewview.synthetic.samples import GRID, GRID_CELL_M, NO_PLANE, RoomSample, room_sample
+from fewview.synthetic.splits import split_seed
 from fewview.synthetic.torch_rays import TorchCaster
 from fewview.types import Array, BoolArray, FloatArray, Intrinsics
 
@@ -187,6 +187,24 @@ def test_planes_hold_the_pixels_of_walls_floor_and_ceiling(seed: int) -> None:
         used = sample.plane_kind[view] != PlaneKind.NONE
         np.testing.assert_allclose(np.linalg.norm(sample.planes[view][used, :3], axis=1), 1, 1e-5)
         assert not sample.planes[view][~used].any()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_pixels_lie_on_the_planes_that_they_name(seed: int) -> None:
+    sample = sample_of(seed)
+    points = ring.points(sample.depth)
+    for view in range(4):
+        shown = sample.plane_id[view]
+        on = shown != NO_PLANE
+        assert (sample.plane_kind[view][shown[on]] != PlaneKind.NONE).all()
+        planes = sample.planes[view][shown[on]]
+        off = (points[view][on] * planes[:, :3]).sum(axis=-1) - planes[:, 3]
+        alike = (sample.normal[view][on] * planes[:, :3]).sum(axis=-1)
+        assert np.abs(off).max() < 0.03 and alike.min() > 0.99
+        shell = np.isin(sample.semantics[view], [Surface.FLOOR, Surface.CEILING])
+        assert on[shell].mean() > 0.8
+        furniture = np.isin(sample.semantics[view], [Surface.SOFA, Surface.TABLE, Surface.CHAIR])
+        assert not on[furniture].any()
 
 
 @given(st.floats(0.2, 0.78), st.floats(0.2, 0.78))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from fewview.synthetic import kinds
 from fewview.synthetic.classes import Surface
 from fewview.synthetic.items import Patches
-from fewview.synthetic.surfaces import box, boxes, labelled, lathed
+from fewview.synthetic.surfaces import as_part, box, boxes, labelled, lathed
 from fewview.synthetic.textures import Rng, Texture, plain
 
 
@@ -21,7 +22,7 @@ def chair(rng: Rng, timber: Texture, seat: Texture) -> Patches:
     parts = [box((0.45, 0.45, 0.04), (0, 0, 0.42), seat, rng), boxes(bars, timber, rng)]
     if solid:
         parts.append(box((0.42, 0.03, high - 0.58), (0, -0.21, 0.58), seat, rng))
-    return labelled(parts, Surface.CHAIR)
+    return as_part(kinds.CHAIR, labelled(parts, Surface.CHAIR))
 
 
 def office_chair(rng: Rng, timber: Texture, seat: Texture) -> Patches:
@@ -36,6 +37,5 @@ def office_chair(rng: Rng, timber: Texture, seat: Texture) -> Patches:
         bars += [((0.05, 0.28, 0.03), (x, 0.0, low + 0.25)) for x in (-0.25, 0.25)]
     foot = [(0.28, 0.02), (0.26, 0.08), (0.04, 0.1), (0.03, low)]
     stem = boxes([((0.06, 0.02, 0.25), (0.0, -0.2, low))], black, rng)
-    return labelled(
-        (boxes(bars, seat, rng), stem, lathed(foot, (0, 0, 0), black, 10)), Surface.CHAIR
-    )
+    parts = (boxes(bars, seat, rng), stem, lathed(foot, (0, 0, 0), black, 10))
+    return as_part(kinds.CHAIR, labelled(parts, Surface.CHAIR))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from fewview.synthetic import textures
 from fewview.synthetic.classes import Surface
 from fewview.synthetic.furniture import Piece, column
-from fewview.synthetic.items import placement
+from fewview.synthetic.items import Patches, placement
 from fewview.synthetic.plan import OpeningKind, Plan, Wall, overlap_any
 from fewview.synthetic.surfaces import Patch, box_corners, labelled, moved, printed
 from fewview.synthetic.textures import Rng, muted
@@ -44,6 +45,7 @@ class Furnishing:
     plan: Plan
     rng: Rng
     doorways: Array
+    exchange: Callable[[Patches], Patches] | None = None
     standing: list[Standing] = field(default_factory=list)
     patches: list[Patch] = field(default_factory=list)
 
@@ -66,7 +68,8 @@ class Furnishing:
         """Stand a piece there."""
         footprint = footprint_of(piece, world_T_piece)
         self.standing.append(Standing(piece.name, footprint, piece.size[2]))
-        self.patches += moved(piece.patches, world_T_piece)
+        own = self.exchange(piece.patches) if self.exchange else piece.patches
+        self.patches += moved(own, world_T_piece)
 
     def covered_share(self) -> float:
         """Part of the floor under furniture."""
@@ -101,13 +104,20 @@ def _doorways(plan: Plan) -> Array:
     return np.array(out).reshape(-1, 4, 2)
 
 
-def furnish(plan: Plan, rng: Rng) -> Furnishing:
+def furnish(
+    plan: Plan, rng: Rng, exchange: Callable[[Patches], Patches] | None = None
+) -> Furnishing:
     """Fill one room: what its theme asks for along the walls and in the middle, then odd things.
+
+    Args:
+        plan: of the room.
+        rng: chooses the furniture and its places.
+        exchange: puts other surfaces in the place of a piece's, within the same box.
 
     Returns:
         The pieces that stand on the floor, pairwise disjoint, and their surfaces, rugs included.
     """
-    room = Furnishing(plan, rng, _doorways(plan))
+    room = Furnishing(plan, rng, _doorways(plan), exchange)
     theme = _theme(plan, rng)
     if _area(plan.outline) > 18 and rng.uniform() < 0.2:
         _pillar(room)

@@ -7,10 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fewview.synthetic import items, prints, textures
+from fewview.synthetic import items, kinds, prints, textures
 from fewview.synthetic.classes import Surface
 from fewview.synthetic.items import Patches, placement
-from fewview.synthetic.surfaces import Patch, box, boxes, faced_box, labelled, lathed, moved
+from fewview.synthetic.surfaces import (
+    Patch,
+    as_part,
+    box,
+    boxes,
+    faced_box,
+    labelled,
+    lathed,
+    moved,
+)
 from fewview.synthetic.textures import Rng, Texture, brown, muted, plain
 
 
@@ -60,7 +69,7 @@ def legs_of(rng: Rng, w: float, d: float, h: float, texture: Texture, thick: flo
 
 def floor_lamp(rng: Rng) -> Piece:
     """A tall lamp."""
-    return piece("lamp", items.table_lamp(rng, rng.uniform(1.4, 1.7), 0.14))
+    return piece("lamp", as_part(kinds.LAMP, items.table_lamp(rng, rng.uniform(1.4, 1.7), 0.14)))
 
 
 def floor_plant(rng: Rng) -> Piece:
@@ -80,13 +89,14 @@ def cartons(rng: Rng) -> Piece:
         turned = placement(0, 0, z, rng.normal(0, 0.12))
         out += moved(faced_box(size, (0, 0, 0), card, label, rng), turned)
         z += size[2]
-    return piece("cartons", out)
+    return piece("cartons", as_part(kinds.BOXES, out))
 
 
 def waste_bin(rng: Rng) -> Piece:
     """A waste-paper bin."""
     profile = [(0.12, 0.0), (0.15, 0.32)]
-    return piece("bin", [lathed(profile, (0, 0, 0), plain(rng, muted(rng)))])
+    body = lathed(profile, (0, 0, 0), plain(rng, muted(rng)))
+    return piece("bin", as_part(kinds.BIN, [body]))
 
 
 def partition(rng: Rng) -> Piece:

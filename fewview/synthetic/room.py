@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from fewview.synthetic.atlas import Atlas, Tones, pack, small
 from fewview.synthetic.classes import Surface
 from fewview.synthetic.decoration import decorate
+from fewview.synthetic.exchange import exchange_for
 from fewview.synthetic.furnish import Standing, furnish
 from fewview.synthetic.items import Patches
+from fewview.synthetic.library import Library
 from fewview.synthetic.plan import Plan, make_plan
 from fewview.synthetic.rays import TRIANGLES, Embree
 from fewview.synthetic.shell import Structure, shell
@@ -121,12 +123,18 @@ def _grid(rows: int, columns: int) -> tuple[Array, IntArray]:
     return weights.reshape(-1, 4), cell.reshape(-1, 4)[:, TRIANGLES].reshape(-1, 3)
 
 
-def make_room(seed: int) -> Room:
-    """The room of a seed: another plan, furniture and decoration for each."""
+def make_room(seed: int, library: Library | None = None) -> Room:
+    """The room of a seed: another plan, furniture and decoration for each.
+
+    Args:
+        seed: see `fewview.synthetic.split_seed`.
+        library: its models of the seed's split stand in for many of the procedural pieces.
+    """
     rng = np.random.default_rng(seed)
     outline, structure = make_plan(rng), Structure()
     walls = shell(outline, rng, structure)
-    furnished = [furnish(part, rng) for part in outline.rooms]
+    exchange = exchange_for(seed, library) if library else None
+    furnished = [furnish(part, rng, exchange) for part in outline.rooms]
     things = [p for f in furnished for p in (*f.patches, *decorate(f))]
     standing = tuple(piece for f in furnished for piece in f.standing)
     lamps, fixtures = _lights(outline, rng)

@@ -15,6 +15,7 @@ from fewview.synthetic.classes import Ground, Surface
 from fewview.synthetic.floor_map import FloorMap, floor_map
 from fewview.synthetic.handheld import Camera
 from fewview.synthetic.hits import Hits, hits
+from fewview.synthetic.library import Library
 from fewview.synthetic.lighting import arriving, exposed, seen_from
 from fewview.synthetic.plan import Plan
 from fewview.synthetic.rays import Caster, Embree
@@ -27,6 +28,7 @@ GRID = 64
 """Cells along each side of a layout."""
 GRID_CELL_M = 0.125
 MOST_PLANES = 24
+NO_PLANE = 255
 _SEEN_SHARE = 0.01
 _DARK = 45.0
 
@@ -51,6 +53,7 @@ class RoomSample:
         layout: (V, G, G) uint8 `Ground`; row 0 is 4 m ahead, column 0 is 4 m to the left.
         planes: (V, P, 4) float32 normal into the room and offset, n . x = d, in the level frame.
         plane_kind: (V, P) uint8 `PlaneKind`, NONE beyond the last plane.
+        plane_id: (V, S, 4 S) uint8 index of the plane that a pixel shows, `NO_PLANE` for none.
     """
 
     level_T_world: Array
@@ -64,10 +67,15 @@ class RoomSample:
     layout: Bytes
     planes: FloatArray
     plane_kind: Bytes
+    plane_id: Bytes
 
 
 def room_sample(
-    seed: int, views: int = 4, size: int = 64, caster: Callable[[Array], Caster] = Embree
+    seed: int,
+    views: int = 4,
+    size: int = 64,
+    caster: Callable[[Array], Caster] = Embree,
+    library: Library | None = None,
 ) -> RoomSample:
     """The room of a seed from several places.
 
@@ -76,11 +84,12 @@ def room_sample(
         views: number of cameras.
         size: of a ring's face, pixels.
         caster: what follows rays among quadrilaterals (n, 4, 3).
+        library: furniture models, see `make_room`.
 
     Raises:
         FewviewError: the room has no place to stand.
     """
-    room = make_room(seed)
+    room = make_room(seed, library)
     rays = caster(room.corners)
     rng = np.random.default_rng([seed, 1])
     above = floor_map(room, rays)
@@ -97,7 +106,7 @@ def room_sample(
     colour = _lit(room, rays, met, shape)
     cosine = met.cosine.reshape(shape)
     observed, measured = _measured(cameras, depth, cosine, semantics, colour, rng)
-    planes, kinds = _planes(room, level_T_world, own, quads)
+    planes, kinds, shown = _planes(room, level_T_world, own, quads)
     return RoomSample(
         level_T_world=level_T_world,
         scan_R_level=np.stack([camera.scan_R_level for camera in cameras]),
@@ -110,6 +119,7 @@ def room_sample(
         layout=np.stack([_layout(above, *v) for v in zip(level_T_world, own, depth, strict=True)]),
         planes=planes,
         plane_kind=kinds,
+        plane_id=np.where(depth > 0, shown, np.uint8(NO_PLANE)),
     )
 
 
@@ -168,12 +178,17 @@ def _layout(above: FloorMap, level_T_world: Array, own: int, depth: FloatArray) 
 
 def _planes(
     room: Room, level_T_world: Array, own: IntArray, quads: IntArray
-) -> tuple[FloatArray, Bytes]:
-    """Each camera's own room's planes, then those of others that it sees much of."""
+) -> tuple[FloatArray, Bytes, Bytes]:
+    """Each camera's own room's planes, then those of others that it sees much of.
+
+    Returns:
+        `RoomSample.planes`, their kinds, and which of them each quadrilateral of ``quads`` is on.
+    """
     structure = room.structure
     world = np.array(structure.planes)
     out = np.zeros((len(own), MOST_PLANES, 4), np.float32)
     kind = np.zeros(out.shape[:2], np.uint8)
+    shown = np.empty(quads.shape, np.uint8)
     for view, pose in enumerate(level_T_world):
         seen = np.bincount(room.plane[quads[view]].ravel() + 1, minlength=len(world) + 1)[1:]
         others = set(np.flatnonzero(seen > _SEEN_SHARE * quads[view].size).tolist())
@@ -183,4 +198,7 @@ def _planes(
         offsets = world[numbers, 3] + normals @ pose[:3, 3]
         out[view, : len(numbers)] = np.column_stack([normals, offsets])
         kind[view, : len(numbers)] = [structure.kinds[n] for n in numbers]
-    return out, kind
+        listed = np.full(len(world) + 1, NO_PLANE, np.uint8)
+        listed[numbers] = np.arange(len(numbers))
+        shown[view] = listed[room.plane[quads[view]]]
+    return out, kind, shown

@@ -6,21 +6,15 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
-from fewview.errors import FewviewError
 from fewview.ply import write_ply
 from fewview.scans import writer
 from fewview.synthetic.camera import ViewMode, kinect, sample_views
 from fewview.synthetic.frames import render
 from fewview.synthetic.room import make_room
 from fewview.types import Array, ColouredMesh, Frame
-
-Split = Literal["demo", "train", "validation", "test"]
-_SPLITS: tuple[Split, ...] = ("demo", "train", "validation", "test")
-_SEEDS_PER_SPLIT = 10**9
 
 
 @dataclass(frozen=True)
@@ -38,20 +32,6 @@ class SyntheticScene:
     names: tuple[str, ...]
     poses: Mapping[str, Array]
     mesh: ColouredMesh
-
-
-def split_seed(split: Split, index: int) -> int:
-    """The room seed of a split's room number ``index``.
-
-    Seeds below 10^9 are the demo's (so any small seed a user types is a demo room); train,
-    validation and test follow in blocks of 10^9. No room is in two splits.
-
-    Raises:
-        FewviewError: the index is outside 0..10^9 - 1.
-    """
-    if not 0 <= index < _SEEDS_PER_SPLIT:
-        raise FewviewError(f"room {index} does not exist; take 0 to {_SEEDS_PER_SPLIT - 1}")
-    return _SPLITS.index(split) * _SEEDS_PER_SPLIT + index
 
 
 def generate(

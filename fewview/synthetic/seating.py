@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from fewview.synthetic import textures
+from fewview.synthetic import kinds, textures
 from fewview.synthetic.classes import Surface
 from fewview.synthetic.furniture import Piece, beside, legs_of, piece, timber_of
 from fewview.synthetic.items import Patches, placement
-from fewview.synthetic.surfaces import Patch, box, labelled, moved
+from fewview.synthetic.surfaces import Patch, as_part, box, labelled, moved
 from fewview.synthetic.tables import coffee_table, nightstand
 from fewview.synthetic.textures import Rng, Texture, muted, vivid
 
@@ -16,7 +16,7 @@ from fewview.synthetic.textures import Rng, Texture, muted, vivid
 def sofa(rng: Rng) -> Piece:
     """A couch."""
     cloth = textures.fabric(rng, (1.2, 0.8), muted(rng))
-    return piece("sofa", _couch(rng, rng.uniform(1.4, 2.3), cloth))
+    return piece("sofa", as_part(kinds.SOFA, _couch(rng, rng.uniform(1.4, 2.3), cloth)))
 
 
 def corner_sofa(rng: Rng) -> Piece:
@@ -24,7 +24,8 @@ def corner_sofa(rng: Rng) -> Piece:
     w, cloth = rng.uniform(2.1, 2.8), textures.fabric(rng, (1.2, 0.8), muted(rng))
     long = rng.uniform(0.5, 0.8)
     seat = box((0.85, long, 0.42), (0.43 - 0.5 * w, 0.44 + 0.5 * long, 0.04), cloth, rng)
-    return piece("corner sofa", [*_couch(rng, w, cloth), *labelled([seat], Surface.SOFA)])
+    parts = [*_couch(rng, w, cloth), *labelled([seat], Surface.SOFA)]
+    return piece("corner sofa", as_part(kinds.SOFA, parts))
 
 
 def _couch(rng: Rng, w: float, cloth: Texture) -> Patches:
@@ -55,7 +56,7 @@ def armchair(rng: Rng) -> Piece:
         box((0.8, 0.18, 0.45), (0, -0.285, 0.45), cloth, rng),
         *(box((0.14, 0.57, 0.18), (x, 0.09, 0.45), cloth, rng) for x in (-0.33, 0.33)),
     )
-    return piece("armchair", parts, Surface.SOFA)
+    return piece("armchair", as_part(kinds.ARMCHAIR, parts), Surface.SOFA)
 
 
 def lounge(rng: Rng) -> Piece:
@@ -78,7 +79,8 @@ def bench(rng: Rng) -> Piece:
     w, d, h = rng.uniform(0.35, 1.4), rng.uniform(0.3, 0.4), rng.uniform(0.42, 0.48)
     timber = timber_of(rng)
     top = box((w, d, 0.04), (0, 0, h - 0.04), timber, rng)
-    return piece("bench", [top, legs_of(rng, w, d, h - 0.04, timber, 0.045)], Surface.CHAIR)
+    parts = [top, legs_of(rng, w, d, h - 0.04, timber, 0.045)]
+    return piece("bench", as_part(kinds.BENCH, parts), Surface.CHAIR)
 
 
 def bed(rng: Rng) -> Piece:
@@ -97,7 +99,7 @@ def bed(rng: Rng) -> Piece:
         x = 0.0 if w < 1.2 else (pillow - 0.5) * 0.8
         at = placement(x, 0.38 - 0.5 * d, 0.5, rng.normal(0, 0.1))
         parts += moved([box((0.6, 0.4, 0.12), (0, 0, 0), sheet, rng)], at)
-    return piece("bed", parts, Surface.BED)
+    return piece("bed", as_part(kinds.BED, parts), Surface.BED)
 
 
 def sleeping(rng: Rng) -> Piece:

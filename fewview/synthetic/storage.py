@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fewview.synthetic import items, prints, textures
+from fewview.synthetic import items, kinds, prints, textures
 from fewview.synthetic.classes import Surface
 from fewview.synthetic.furniture import Piece, piece, timber_of
 from fewview.synthetic.items import clutter, placement
 from fewview.synthetic.surfaces import (
     Patch,
+    as_part,
     box,
     box_corners,
     boxes,
@@ -43,7 +44,8 @@ def bookshelf(rng: Rng) -> Piece:
                 else clutter(rng, w - 0.1, 0.26, 0, 0.7)
             )
             parts += moved(row, placement(0, 0, z))
-    return piece("bookshelf", [boxes(boards, timber, rng), *parts], Surface.CABINET)
+    whole = as_part(kinds.BOOKSHELF, [boxes(boards, timber, rng), *parts])
+    return piece("bookshelf", whole, Surface.CABINET)
 
 
 def cupboard(rng: Rng) -> Piece:
@@ -55,7 +57,7 @@ def cupboard(rng: Rng) -> Piece:
         rng, (w, h), brown(rng) if rng.uniform() < 0.5 else muted(rng), columns, rows
     )
     parts = (
-        *faced_box((w, d, h), (0, 0, 0), timber, face, rng),
+        *as_part(kinds.CUPBOARD, faced_box((w, d, h), (0, 0, 0), timber, face, rng)),
         *clutter(rng, w - 0.1, d - 0.08, h),
     )
     return piece("cupboard", parts, Surface.CABINET)
@@ -66,7 +68,7 @@ def wardrobe(rng: Rng) -> Piece:
     w, d, h = rng.uniform(0.8, 1.8), rng.uniform(0.5, 0.62), rng.uniform(1.8, 2.15)
     face = prints.front(rng, (w, h), muted(rng), round(w / 0.5), int(rng.integers(1, 3)))
     body = faced_box((w, d, h), (0, 0, 0), timber_of(rng, 1.5), face, rng)
-    return piece("wardrobe", body, Surface.CABINET)
+    return piece("wardrobe", as_part(kinds.WARDROBE, body), Surface.CABINET)
 
 
 def kitchen(rng: Rng) -> Piece:
@@ -101,7 +103,7 @@ def media(rng: Rng) -> Piece:
         box((0.35, 0.2, 0.06), (0, -0.05, h), black, rng),
     )
     parts = (
-        *faced_box((w, d, h), (0, 0, 0), timber_of(rng), face, rng),
+        *as_part(kinds.CUPBOARD, faced_box((w, d, h), (0, 0, 0), timber_of(rng), face, rng)),
         *labelled(screen, Surface.OTHER),
         *moved(clutter(rng, w - 0.05, 0.1, h, 0.35), placement(0, 0.13, 0)),
     )
@@ -113,6 +115,5 @@ def fridge(rng: Rng) -> Piece:
     w, d, h = rng.uniform(0.55, 0.7), rng.uniform(0.58, 0.68), rng.uniform(1.3, 2.05)
     tone = np.full(3, rng.uniform(60, 240))
     face = prints.front(rng, (w, h), tone, 1, int(rng.integers(1, 4)))
-    return piece(
-        "fridge", faced_box((w, d, h), (0, 0, 0), plain(rng, tone), face, rng), Surface.CABINET
-    )
+    body = faced_box((w, d, h), (0, 0, 0), plain(rng, tone), face, rng)
+    return piece("fridge", as_part(kinds.FRIDGE, body), Surface.CABINET)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fewview.synthetic.classes import Surface
+from fewview.synthetic.kinds import Kind
 from fewview.synthetic.textures import Rng, Texture
 from fewview.types import Array
 
@@ -26,6 +27,21 @@ _BOX_FACES = np.array(
 
 
 @dataclass(frozen=True, eq=False)
+class Part:
+    """A thing for which a model of its kind may stand in.
+
+    Attributes:
+        kind: of the thing.
+        size: (3,) of the box that holds it, metres.
+        target_T_part: (4, 4) from the frame of the box, on z = 0 with its front towards +y.
+    """
+
+    kind: Kind
+    size: Array
+    target_T_part: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Patch:
     """Planar quadrilaterals that share a texture.
 
@@ -36,6 +52,7 @@ class Patch:
         texture: what is printed on them.
         surface: what they are; UNKNOWN until somebody names them, see `labelled`.
         plane: number of the structural plane that they are part of, or -1.
+        part: what they make up together with others, see `as_part`.
     """
 
     corners: Array
@@ -43,20 +60,37 @@ class Patch:
     texture: Texture
     surface: Surface = Surface.UNKNOWN
     plane: int = -1
+    part: Part | None = None
 
 
 def labelled(patches: Iterable[Patch], surface: Surface) -> tuple[Patch, ...]:
     """The same patches, those without a name called ``surface``."""
-    return tuple(
-        p if p.surface else Patch(p.corners, p.uv, p.texture, surface, p.plane) for p in patches
-    )
+    return tuple(p if p.surface else replace(p, surface=surface) for p in patches)
+
+
+def as_part(kind: Kind, patches: Iterable[Patch]) -> tuple[Patch, ...]:
+    """The same patches as one thing that stands on the floor with its front towards +y."""
+    own = tuple(patches)
+    points = np.concatenate([p.corners.reshape(-1, 3) for p in own])
+    low, high = points.min(axis=0), points.max(axis=0)
+    target_T_part = np.eye(4)
+    target_T_part[:2, 3] = 0.5 * (low + high)[:2]
+    thing = Part(kind, np.array([*(high - low)[:2], high[2]]), target_T_part)
+    return tuple(replace(p, part=thing) for p in own)
 
 
 def moved(patches: Iterable[Patch], target_T_source: Array) -> tuple[Patch, ...]:
     """The same patches in another frame."""
+    own = tuple(patches)
     turn, shift = target_T_source[:3, :3].T, target_T_source[:3, 3]
+    parts = {
+        part: replace(part, target_T_part=target_T_source @ part.target_T_part)
+        for part in {p.part for p in own}
+        if part is not None
+    }
     return tuple(
-        Patch(p.corners @ turn + shift, p.uv, p.texture, p.surface, p.plane) for p in patches
+        replace(p, corners=p.corners @ turn + shift, part=parts[p.part] if p.part else None)
+        for p in own
     )
 
 

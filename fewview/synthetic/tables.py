@@ -6,12 +6,21 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fewview.synthetic import items, prints, textures
+from fewview.synthetic import items, kinds, prints, textures
 from fewview.synthetic.chairs import chair, office_chair
 from fewview.synthetic.classes import Surface
 from fewview.synthetic.furniture import Piece, beside, legs_of, piece, timber_of
 from fewview.synthetic.items import Patches, clutter, placement
-from fewview.synthetic.surfaces import Patch, box, boxes, faced_box, labelled, lathed, moved
+from fewview.synthetic.surfaces import (
+    Patch,
+    as_part,
+    box,
+    boxes,
+    faced_box,
+    labelled,
+    lathed,
+    moved,
+)
 from fewview.synthetic.textures import Rng, Texture, muted, plain
 
 Seat = Callable[[Rng, Texture, Texture], Patches]
@@ -25,7 +34,8 @@ def table(rng: Rng, w: float, d: float, h: float, share: float = 0.7) -> Patches
     if kind < 0.15:
         ends = [((0.04, 0.8 * d, h - 0.035), (x, 0.0, 0.0)) for x in (-0.42 * w, 0.42 * w)]
         under = boxes([*ends, ((0.84 * w, 0.03, 0.12), (0.0, 0.0, h - 0.3))], timber, rng)
-    return labelled((top, under), Surface.TABLE) + clutter(rng, w - 0.08, d - 0.08, h, share)
+    parts = as_part(kinds.TABLE, labelled((top, under), Surface.TABLE))
+    return parts + clutter(rng, w - 0.08, d - 0.08, h, share)
 
 
 def dining(rng: Rng) -> Piece:
@@ -43,7 +53,8 @@ def round_table(rng: Rng) -> Piece:
         (0, 0, 0),
         timber,
     )
-    parts = [*labelled([body], Surface.TABLE), *clutter(rng, r, r, h, 0.5)]
+    stand = as_part(kinds.ROUND_TABLE, labelled([body], Surface.TABLE))
+    parts = [*stand, *clutter(rng, r, r, h, 0.5)]
     fabric = textures.fabric(rng, (0.6, 0.6), muted(rng))
     count, first = int(rng.integers(2, 5)), rng.uniform(0, 2 * np.pi)
     for angle in first + 2 * np.pi * np.arange(count) / count:
@@ -94,6 +105,7 @@ def desk(rng: Rng) -> Piece:
     if rng.uniform() < 0.7:
         face = prints.front(rng, (0.4, 0.55), muted(rng), 1, int(rng.integers(2, 5)))
         parts += faced_box((0.4, d - 0.1, 0.58), (0.5 * w - 0.3, 0, 0), timber, face, rng)
+    parts = list(as_part(kinds.DESK, parts))
     x = -0.12 * w
     screens = (x - 0.27, x + 0.27) if w > 1.4 and rng.uniform() < 0.4 else (x,)
     for at in screens if rng.uniform() < 0.85 else ():
@@ -129,5 +141,6 @@ def nightstand(rng: Rng) -> Piece:
     """A small chest beside a bed."""
     w, d, h = rng.uniform(0.35, 0.55), rng.uniform(0.32, 0.42), rng.uniform(0.4, 0.6)
     face = prints.front(rng, (w, h), muted(rng), 1, int(rng.integers(1, 4)))
-    body = labelled(faced_box((w, d, h), (0, 0, 0), timber_of(rng), face, rng), Surface.CABINET)
-    return piece("nightstand", body + clutter(rng, w - 0.05, d - 0.05, h, 0.8))
+    body = faced_box((w, d, h), (0, 0, 0), timber_of(rng), face, rng)
+    chest = as_part(kinds.NIGHTSTAND, labelled(body, Surface.CABINET))
+    return piece("nightstand", chest + clutter(rng, w - 0.05, d - 0.05, h, 0.8))

@@ -6,10 +6,12 @@ import dataclasses
 import math
 import platform
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import torch
 
+from fewview.synthetic import read_library
 from fewview.training.settings import TrainConfig
 
 
@@ -35,6 +37,7 @@ def make_card(
             "rooms": min(step * config.rooms, config.pool or step * config.rooms),
             "samples": step * config.rooms * config.views,
             "validation_rooms": config.validation_rooms,
+            **({"library": _library(Path(config.library))} if config.library else {}),
         },
         "seed": config.seed,
         "steps": step,
@@ -44,6 +47,12 @@ def make_card(
         "config": dataclasses.asdict(config),
         "torch": torch.__version__,
     }
+
+
+def _library(folder: Path) -> dict[str, Any]:
+    """Whose models stood in the rooms, under which licences."""
+    library = read_library(folder)
+    return {"fingerprint": library.fingerprint, "attribution": list(library.credits())}
 
 
 def _hardware(device: torch.device, threads: int) -> str:

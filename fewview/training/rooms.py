@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import os
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Protocol, cast
@@ -11,18 +13,19 @@ from typing import TYPE_CHECKING, Protocol, cast
 import numpy as np
 from torch.utils.data import DataLoader, Dataset
 
+from fewview import geometry, synthetic
 from fewview.errors import FewviewError
 from fewview.training.problem import Batch
 from fewview.training.settings import TrainConfig
 
 if TYPE_CHECKING:
-    from fewview.synthetic import Split
+    from fewview.synthetic import Library, Split
     from fewview.synthetic.samples import RoomSample
 
 SPARE_ROOMS = 5
 SPARE_STRIDE = 10**8
 PREFETCH = 4
-RINGS = ("colour", "depth", "normal", "semantics", "observed", "measured")
+RINGS = ("colour", "depth", "normal", "semantics", "observed", "measured", "plane_id")
 LEFT = np.array([1.0, -1.0, 1.0])
 """Mirrors the level frame's left axis."""
 RIGHT = np.array([-1.0, 1.0, 1.0])
@@ -36,7 +39,9 @@ class RoomSource(Protocol):
         """Room number ``index`` of a split."""
 
 
-def generated(split: Split, index: int, views: int, size: int) -> RoomSample:
+def generated(
+    split: Split, index: int, views: int, size: int, library: Library | None = None
+) -> RoomSample:
     """Make a room; one that cannot be made is replaced by another, so that no run ends of it.
 
     Raises:
@@ -49,10 +54,19 @@ def generated(split: Split, index: int, views: int, size: int) -> RoomSample:
     while len(reasons) < SPARE_ROOMS:
         seed = split_seed(split, index + len(reasons) * SPARE_STRIDE)
         try:
-            return room_sample(seed, views, size)
+            return room_sample(seed, views, size, library=library)
         except Exception as error:
             reasons.append(error)
     raise FewviewError(f"room {index} of {split} cannot be made: {reasons[0]!r}") from reasons[0]
+
+
+def generator_fingerprint(library: Library | None = None) -> str:
+    """Of what makes rooms: the generator's code and the library's contents."""
+    makes = hashlib.sha256(library.fingerprint.encode() if library else b"")
+    for package in (synthetic, geometry):
+        for file in sorted(Path(str(package.__file__)).parent.glob("*.py")):
+            makes.update(file.read_bytes())
+    return makes.hexdigest()[:12]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,7 +74,7 @@ class Stored:
     """Rooms of another source kept in a folder, real numbers in half precision."""
 
     folder: Path
-    source: RoomSource = generated
+    source: RoomSource
 
     def __call__(self, split: Split, index: int, views: int, size: int) -> RoomSample:
         """Read the room, or make it and write it."""
@@ -100,6 +114,7 @@ class RoomBatches(Dataset[Batch]):
         rooms = []
         for number in range(step * self.rooms, (step + 1) * self.rooms):
             turn, index = divmod(number, c.pool) if training and c.pool else (0, number)
+            index += c.first_room if training else 0
             room = self.source(self.split, index, c.made_views or c.views, c.size)
             room = some_views(room, c.views, rng)
             rooms.append(mirrored(room) if turn % 2 else room)
@@ -138,8 +153,16 @@ def loader(batches: RoomBatches, steps: range, jobs: int) -> DataLoader[Batch]:
 
 
 def source_of(config: TrainConfig) -> RoomSource:
-    """Where a run's rooms come from."""
-    return Stored(Path(config.store)) if config.store else generated
+    """Where a run's rooms come from; stored ones lie in a folder of their generator's own.
+
+    Raises:
+        FewviewError: the library's folder holds no furniture models.
+    """
+    library = synthetic.read_library(Path(config.library)) if config.library else None
+    source = partial(generated, library=library)
+    if not config.store:
+        return source
+    return Stored(Path(config.store) / generator_fingerprint(library), source)
 
 
 def _narrowed(array: np.ndarray) -> np.ndarray:

@@ -30,10 +30,14 @@ class TrainConfig:
     """Cameras in a room when it is made, of which a batch draws `views`; 0 for as many."""
     size: int = 64
     """Pixels along a ring's face."""
+    first_room: int = 0
+    """Number of the first training room."""
     pool: int = 0
     """Training rooms before the first comes again; 0 for always new ones."""
     store: str = ""
     """Folder that keeps the rooms, for the next round and for other networks; empty for none."""
+    library: str = ""
+    """Folder of furniture catalogues whose models stand in the rooms; empty for none."""
     learning_rate: float = 1e-3
     """Its highest value."""
     warmup_steps: int = 200
