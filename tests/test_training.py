@@ -98,6 +98,18 @@ def test_a_run_leaves_weights_card_curves_and_settings(finished: Path) -> None:
     assert again == SHORT
 
 
+def test_a_run_begins_with_the_weights_of_another(finished: Path, tmp_path: Path) -> None:
+    config = dataclasses.replace(
+        SHORT, init=str(finished), store=str(tmp_path / "rooms"), learning_rate=0.0, steps=2
+    )
+    weights_after = trained(config, tmp_path / "out")
+    begun, _ = weights.load("panorama", finished)
+    assert all(torch.equal(begun[name], weights_after[name]) for name in begun)
+    _, card = weights.load("panorama", tmp_path / "out")
+    assert card["config"]["init"] == finished.name
+    assert card["config"]["store"] == "rooms"
+
+
 def test_the_loss_falls() -> None:
     torch.manual_seed(0)
     network = TINY.network()
@@ -110,7 +122,14 @@ def test_the_loss_falls() -> None:
         torch.stack(list(parts.values())).sum().backward()  # type: ignore[no-untyped-call]
         optimiser.step()
         totals.append({name: value.item() for name, value in parts.items()})
-    assert set(totals[0]) == {"depth_likelihood", "depth_l1", "normal", "semantics", "descriptor"}
+    assert set(totals[0]) == {
+        "depth_likelihood",
+        "depth_l1",
+        "depth_relative",
+        "normal",
+        "semantics",
+        "descriptor",
+    }
     assert all(totals[-1][name] < totals[0][name] for name in totals[0])
 
 

@@ -15,6 +15,10 @@ from fewview.synthetic import read_library
 from fewview.training.settings import TrainConfig
 
 
+FOLDERS = frozenset({"store", "library", "init", "layout", "weights"})
+"""Settings that are folders."""
+
+
 def make_card(
     config: TrainConfig,
     step: int,
@@ -44,8 +48,20 @@ def make_card(
         "hardware": _hardware(device, threads),
         "hours": round(seconds / 3600.0, 3),
         "validation": {k: round(v, 5) for k, v in validation.items() if math.isfinite(v)},
-        "config": dataclasses.asdict(config),
+        "config": _portable(dataclasses.asdict(config)),
         "torch": torch.__version__,
+    }
+
+
+def _portable(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings with the names of folders, not where they lay."""
+    return {
+        key: _portable(value)
+        if isinstance(value, dict)
+        else Path(value).name
+        if key in FOLDERS
+        else value
+        for key, value in settings.items()
     }
 
 

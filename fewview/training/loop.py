@@ -101,7 +101,11 @@ class _Run:
         torch.manual_seed(config.seed)
         self.problem, self.config, self.out, self.device = config.settings, config, out, device
         self.source, self.report = source, report
-        self.network = self.problem.network().to(device)
+        self.network = self.problem.network()
+        if config.init:
+            state, _ = weights.load(self.problem.name, Path(config.init))
+            self.network.load_state_dict(state)
+        self.network.to(device)
         self.optimiser = torch.optim.AdamW(
             self.network.parameters(), config.learning_rate, weight_decay=config.weight_decay
         )

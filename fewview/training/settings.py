@@ -18,6 +18,8 @@ class TrainConfig:
     """Which network; see `fewview.training.problem.PROBLEMS`."""
     settings: Problem
     """The problem itself, a dataclass."""
+    init: str = ""
+    """Folder of weights of the same network to begin with; empty for random ones."""
     seed: int = 0
     """Of the weights and of everything drawn."""
     steps: int = 4000
