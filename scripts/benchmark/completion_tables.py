@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from benchmark.completion_measure import CHANCE, COMPLETED, PAIRS, RECALL_1, RECALL_5
+from benchmark.completion_measure import COMPLETED
+from benchmark.completion_recall import CHANCE, PAIRS, RECALL_1, RECALL_5
 from benchmark.completion_scores import (
     Counts,
     ground_figures,
@@ -19,7 +20,8 @@ from fewview.completion.panorama.network import CLASSES
 
 RINGS, GROUNDS, PLANES, RECALLS = "360-image", "2D layout", "planes", "descriptors"
 UNSEEN, SEEN = "unobserved", "observed"
-GROUND_PARTS = (UNSEEN, "unobserved inside", "all")
+INSIDE = "unobserved inside"
+GROUND_PARTS = (UNSEEN, INSIDE, "all")
 RING_FIGURES = {
     "depth, relative": ("depth_relative", 3),
     "depth, m": ("depth_l1_m", 2),
@@ -111,7 +113,10 @@ def _calibration_table(summaries: Mapping[str, Json]) -> Table:
 def _ground_table(summaries: Mapping[str, Json]) -> Table:
     rows: Rows = []
     for name, summary in summaries.items():
+        cells = {part: summary[GROUNDS][COMPLETED][part]["cells"] for part in GROUND_PARTS}
         for part in GROUND_PARTS:
+            if part == INSIDE and cells[part] == cells[UNSEEN]:
+                continue
             found = {method: parts[part] for method, parts in summary[GROUNDS].items()}
             rows.append([f"{name}, {part}"])
             rows += [
@@ -155,7 +160,7 @@ def _recall_table(summaries: Mapping[str, Json]) -> Table:
     note = (
         "How often the most alike place in another view of the room (one of the five most alike) "
         "is the same place: within 0.16 m among 1024 of the 360-image, within 0.25 m among 128 "
-        "cells of the layout."
+        "cells of the layout, the same true wall among the walls told of the other view."
     )
     head = ["", "seen by both", "seen by one", "seen by none"]
     return Table("Descriptors", note, head, rows)

@@ -23,8 +23,9 @@ from benchmark.completion_baselines import (
     box_ring,
     seen_patches,
 )
-from benchmark.completion_measure import BOX, COMPLETED, PAIRS, TYPICAL, measured
+from benchmark.completion_measure import BOX, COMPLETED, TYPICAL, measured
 from benchmark.completion_networks import MAKERS, Networks
+from benchmark.completion_recall import CHANCE, PAIRS, RECALL_1, RECALL_5, wall_recall
 from benchmark.completion_scores import (
     Counts,
     ground_counts,
@@ -47,7 +48,8 @@ from fewview import weights
 from fewview.completion.layout.grid import DOOR, FREE, WALL
 from fewview.synthetic.samples import RoomSample
 from fewview.training.point_batches import FLOOR
-from fewview.types import Frame, Intrinsics
+from fewview.training.point_batches import WALL as WALL_PLANE
+from fewview.types import Array, CompletedPlanes, Frame, Intrinsics, StructuralPlane
 from tests.box_rooms import box_room
 
 SIZES = {
@@ -236,18 +238,42 @@ def test_all_that_is_measured_is_told(networks: Networks) -> None:
     box = ring_figures(under(counts, "ring", BOX, "unobserved"))
     assert box["depth_relative"] < 0.6
     summary = summarise(counts)
-    assert set(summary[RECALLS]) == {RINGS, GROUNDS}
+    assert {RINGS, GROUNDS} <= set(summary[RECALLS]) <= {RINGS, GROUNDS, PLANES}
     assert set(summary[RECALLS][RINGS]) <= set(PAIRS)
     json.dumps(summary, allow_nan=False)
     text = "\n".join(table.markdown() for table in tables({"rooms": summary}, {}))
     assert all(title in text for title in ("360-image", "2D layout", "Structural planes"))
 
 
+def told_walls(view: View, names: Array) -> CompletedPlanes:
+    """The true walls, each with one of the rows of (4, D) ``names`` as its descriptor."""
+    walls = view.truth.planes[view.truth.kinds == WALL_PLANE]
+    planes = tuple(
+        StructuralPlane("wall", w[3] * w[:3], w[:3], name, 1.0, True)
+        for w, name in zip(walls, names.astype(np.float32), strict=True)
+    )
+    nothing = np.zeros((0, 3), np.float32)
+    empty = np.zeros((0, names.shape[1]), np.float32)
+    return CompletedPlanes(planes, nothing, nothing, empty, empty, empty[:, 0])
+
+
+def test_walls_are_found_by_their_descriptors() -> None:
+    views = GeneratedRoom("test", 4, 2).views()
+    names = np.eye(4)
+    same = wall_recall(views, [told_walls(view, names) for view in views])
+    for pair in {pair for pair, _ in same}:
+        assert same[pair, RECALL_1] == 1.0 and same[pair, CHANCE] == 0.25
+    swapped = [told_walls(views[0], names), told_walls(views[1], np.roll(names, 1, axis=0))]
+    wrong = wall_recall(views, swapped)
+    assert {v for (_, figure), v in wrong.items() if figure == RECALL_1} == {0.0}
+    assert {v for (_, figure), v in wrong.items() if figure == RECALL_5} == {1.0}
+
+
 def test_networks_that_are_not_there_are_left_out(networks: Networks, tmp_path: Path) -> None:
     alone = Networks(tuple(f for f in networks.folders if f[0] == "structure"))
     views = GeneratedRoom("test", 4, 1).views()
     counts = measured(views, alone, typical_of(views[0]), np.random.default_rng(0))
-    assert {key[0] for key in counts} == {"planes"}
+    assert {key[0] for key in counts} <= {"planes", "recall"}
     titles = [table.title for table in tables({"rooms": summarise(counts)}, {})]
     assert titles == ["Structural planes", "Speed"]
     assert alone.key != networks.key
