@@ -38,7 +38,9 @@ def main() -> None:
     """Parse the arguments, complete what is missing, print the tables."""
     options = _options()
     store, networks = Store(options.cache / "answers"), Networks.found(options.networks)
-    usual = TypicalTask(store, TYPICAL_ROOMS[options.quick], TYPICAL_VIEWS)
+    train = range(TYPICAL_ROOMS[options.quick])
+    known = [GeneratedRoom("train", i, TYPICAL_VIEWS, options.library) for i in train]
+    usual = TypicalTask(store, tuple(known))
     speed = SpeedTask(store, networks)
     sets = {
         name: [CompletionTask(store, room, networks, usual, options.seed) for room in rooms]
@@ -54,7 +56,8 @@ def main() -> None:
         "rooms": {name: [task.source.key for task in tasks] for name, tasks in sets.items()},
         "seed": options.seed,
         "quick": options.quick,
-        "training_rooms": usual.rooms,
+        "training_rooms": len(usual.rooms),
+        "library": None if options.library is None else str(options.library),
         "networks": networks.cards(),
         "figures": summaries,
         "speed_ms": milliseconds,
@@ -66,6 +69,9 @@ def main() -> None:
 def _options() -> argparse.Namespace:
     made = parser(__doc__, "completion")
     made.add_argument("--beside", nargs="+", default=[], metavar="DATA", help="further data sets")
+    made.add_argument(
+        "--library", type=Path, metavar="DIR", help="furniture models in generated rooms"
+    )
     add_networks(made)
     return made.parse_args()
 
@@ -75,7 +81,8 @@ def _rooms(spec: str, options: argparse.Namespace) -> dict[str, list[ViewSource]
     if spec in SPLITS:
         split, views = SPLITS[spec], VIEWS[options.quick]
         made = range(ROOMS[options.quick])
-        return {f"rooms-{split}": [GeneratedRoom(split, index, views) for index in made]}
+        rooms = [GeneratedRoom(split, index, views, options.library) for index in made]
+        return {f"rooms-{split}": [*rooms]}
     scenes = open_dataset(spec, quick=options.quick, cache=options.cache).scenes
     return {scene.name: [*groups_of(scene, GROUP, options.seed)] for scene in scenes}
 

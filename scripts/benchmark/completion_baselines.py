@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,13 +75,13 @@ class Typical:
         return np.asarray(self.grounds[int(agree.argmax())], np.uint8)
 
 
-def typical(rooms: int, views: int) -> Typical:
-    """Look at the first rooms of the training split, from so many places each."""
+def typical(rooms: Sequence[GeneratedRoom]) -> Typical:
+    """Look at rooms of the training split."""
     depths, grounds, heights = [], [], []
     normals = np.zeros((SIZE, 4 * SIZE, 3))
     votes = np.zeros((len(CLASSES), SIZE, 4 * SIZE), np.int64)
-    for index in range(rooms):
-        for view in GeneratedRoom("train", index, views).views():
+    for room in rooms:
+        for view in room.views():
             truth = view.truth
             depths.append(np.where(truth.depth > 0, truth.depth, np.nan).astype(np.float16))
             grounds.append(truth.ground)

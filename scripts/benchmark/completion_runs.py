@@ -16,23 +16,24 @@ from benchmark.completion_baselines import Typical, typical
 from benchmark.completion_measure import measured
 from benchmark.completion_networks import Networks
 from benchmark.completion_scores import Counts
-from benchmark.completion_views import ViewSource
+from benchmark.completion_views import GeneratedRoom, ViewSource
 from benchmark.store import Record, Store
 
 
 @dataclass(frozen=True)
 class TypicalTask:
-    """What rooms of the training split look like."""
+    """What some rooms of the training split look like."""
 
     store: Store
-    rooms: int
-    views: int
+    rooms: tuple[GeneratedRoom, ...]
 
     @property
     def path(self) -> Path:
         """Where the record is."""
-        key = fingerprint("benchmark.completion_baselines")
-        return self.store.path(f"train-{self.rooms}x{self.views}", f"typical-{key}", "typical")
+        code = fingerprint("benchmark.completion_baselines")
+        told = " ".join([code, *(room.key for room in self.rooms)])
+        key = hashlib.sha256(told.encode()).hexdigest()[:12]
+        return self.store.path(f"train-{len(self.rooms)}", f"typical-{key}", "typical")
 
     @property
     def group(self) -> tuple[Hashable, ...]:
@@ -41,7 +42,7 @@ class TypicalTask:
 
     def run(self) -> Record[Typical]:
         """Make the rooms and look at them."""
-        return Record(typical(self.rooms, self.views), {})
+        return Record(typical(self.rooms), {})
 
     def answer(self) -> Typical:
         """What is stored."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -22,7 +23,7 @@ from fewview.completion.panorama.ring import ring_points
 from fewview.config import FeatureConfig
 from fewview.geometry import se3
 from fewview.geometry.camera import project
-from fewview.synthetic import Split
+from fewview.synthetic import Library, Split, read_library
 from fewview.synthetic.samples import RoomSample
 from fewview.training.layout import turned_layout
 from fewview.training.panorama import along_walls
@@ -100,20 +101,31 @@ class ViewSource(Protocol):
 
 @dataclass(frozen=True)
 class GeneratedRoom:
-    """A room of a split seen by some cameras."""
+    """A room of a split seen by some cameras.
+
+    Attributes:
+        split, index: which room.
+        count: number of cameras.
+        library: folder of furniture models, see `synthetic.read_library`; procedural pieces alone
+            when None.
+    """
 
     split: Split
     index: int
     count: int
+    library: Path | None = None
 
     @property
     def key(self) -> str:
         """See `ViewSource`."""
-        return f"{self.split}-{self.index:04d}-{self.count}"
+        models = _models(self.library)
+        furnished = "" if models is None else f"-{models.fingerprint}"
+        return f"{self.split}-{self.index:04d}-{self.count}{furnished}"
 
     def views(self) -> list[View]:
         """Views of the room."""
-        room = generated(self.split, self.index, self.count, SIZE)
+        models = _models(self.library)
+        room = generated(self.split, self.index, self.count, SIZE, library=models)
         turned, rng = along_walls(room), np.random.default_rng(self.index)
         return [_generated_view(room, turned, v, rng) for v in range(self.count)]
 
@@ -133,6 +145,11 @@ class SceneFrames:
     def views(self) -> list[View]:
         """A view for each frame."""
         return [_frame_view(self.scene, name) for name in self.names]
+
+
+@lru_cache(1)
+def _models(folder: Path | None) -> Library | None:
+    return None if folder is None else read_library(folder)
 
 
 def groups_of(scene: Scene, count: int, seed: int) -> list[SceneFrames]:

@@ -62,7 +62,7 @@ REACH = np.array([2.0, 2.0, 2.0, 2.0, 1.4, 1.1])
 
 @pytest.fixture(autouse=True)
 def box_rooms(monkeypatch: pytest.MonkeyPatch) -> None:
-    def made(split: str, index: int, views: int, size: int) -> RoomSample:
+    def made(split: str, index: int, views: int, size: int, library: None) -> RoomSample:
         return box_room(index + 1000 * (split == "train"), views, size)
 
     monkeypatch.setattr(completion_views, "generated", made)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -13,11 +15,13 @@ from benchmark.scenes import Scene
 from fewview.completion.layout.grid import DOOR, FREE, FURNITURE, WALL, cell_centres, cells_of
 from fewview.completion.panorama.ring import ring_points
 from fewview.geometry import se3
+from fewview.synthetic import Library
 from fewview.synthetic.samples import RoomSample
 from fewview.training.point_batches import CEILING, FLOOR
 from fewview.training.point_batches import WALL as WALL_PLANE
 from fewview.types import Array, ColouredMesh
 from tests.box_rooms import box_room
+from tests.furniture_library import write_library
 
 HALF = np.array([2.0, 1.5])
 HEIGHT, EYE = 2.5, 1.4
@@ -26,7 +30,7 @@ CABINET = (np.array([1.2, -1.5]), np.array([2.0, -0.9]), 1.2)
 
 @pytest.fixture
 def box_views(monkeypatch: pytest.MonkeyPatch) -> list[View]:
-    def made(split: str, index: int, views: int, size: int) -> RoomSample:
+    def made(split: str, index: int, views: int, size: int, library: None) -> RoomSample:
         return box_room(index, views, size)
 
     monkeypatch.setattr(completion_views, "generated", made)
@@ -107,6 +111,21 @@ def test_views_of_a_room_share_a_world(box_views: list[View]) -> None:
         walls.append(np.column_stack([normals, mine[:, 3] + normals @ world_T_level[:3, 3]]))
     np.testing.assert_allclose(walls[1], walls[0], atol=1e-4)
     np.testing.assert_allclose(walls[2], walls[0], atol=1e-4)
+
+
+def test_a_library_furnishes_the_room(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    libraries: list[Library | None] = []
+
+    def made(split: str, index: int, views: int, size: int, library: Library | None) -> RoomSample:
+        libraries.append(library)
+        return box_room(index, views, size)
+
+    write_library(tmp_path)
+    monkeypatch.setattr(completion_views, "generated", made)
+    bare, furnished = GeneratedRoom("test", 4, 1), GeneratedRoom("test", 4, 1, tmp_path)
+    assert len(bare.views()) == len(furnished.views()) == 1
+    assert libraries[0] is None and libraries[1] is not None and libraries[1].of("test")
+    assert bare.key != furnished.key
 
 
 @pytest.fixture(scope="module")
