@@ -24,8 +24,9 @@ Settings = typing.TypeVar("Settings")
 class FeatureConfig:
     """Features of what a scan shows."""
 
-    kinds: tuple[str, ...] = ("xfeat", "sift", "planes")
-    """Which kinds of features are extracted and matched."""
+    kinds: tuple[str, ...] = ("xfeat", "sift", "planes", "panorama", "layout", "structure")
+    """Which kinds of features are extracted and matched; the last three are of the rooms that
+    networks complete around the scans, which run only for kinds that are named."""
     max_keypoints: int = 640
     """Learned keypoints kept per scan."""
     max_sift: int = 600

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from fewview import synthetic
-from fewview.completion import chosen_kinds, complete
+from fewview.completion import complete
 from fewview.completion.levelling import level, upright
 from fewview.completion.local_geometry import DepthView, reduce_depth, thin_surface
 from fewview.completion.orientation import glance, quarter_turns
 from fewview.completion.patches import find_patches
+from fewview.completion.scan import COMPLETED_KINDS, OBSERVED_KINDS
 from fewview.completion.xfeat import turn_pixels
 from fewview.config import Config, FeatureConfig, merge
 from fewview.errors import ConfigError
@@ -133,7 +134,8 @@ def test_features_lie_on_the_surface(completed: list[CompletedScan]) -> None:
             length = np.linalg.norm(features.normals, axis=1)
             assert ((np.abs(length - 1.0) < 1e-6) | (length == 0.0)).all()
             assert (length > 0.0).mean() > 0.1
-            assert features.observed.all()
+        assert all(scan.features[kind.name].observed.all() for kind in OBSERVED_KINDS)
+        assert not all(scan.features[kind.name].observed.all() for kind in COMPLETED_KINDS)
 
 
 def test_only_the_chosen_kinds_are_extracted_and_matched(scene: synthetic.SyntheticScene) -> None:
@@ -167,7 +169,7 @@ def test_an_unknown_kind_is_refused(scene: synthetic.SyntheticScene) -> None:
 
 def test_a_scan_matches_itself(completed: list[CompletedScan]) -> None:
     scan = completed[0]
-    for kind in chosen_kinds(CONFIG):
+    for kind in OBSERVED_KINDS:
         if kind.name == "planes":
             continue
         matches = kind.correspond(scan, scan)
@@ -181,7 +183,9 @@ def test_scan_without_depth_completes_to_nothing(scene: synthetic.SyntheticScene
     scan = complete("blind", blind, 0, CONFIG, 0)
     assert len(scan.surface.points) == 0
     assert scan.levelling.up_confidence == 0.0 and scan.levelling.floor_z is None
+    assert not scan.room.completed
     assert all(len(f) == 0 for f in scan.features.values())
+    assert all(len(kind.correspond(scan, scan)) == 0 for kind in COMPLETED_KINDS)
 
 
 def test_level_is_deterministic(completed: list[CompletedScan]) -> None:

@@ -90,6 +90,20 @@ def keypoint_features(
     )
 
 
+def no_features(kind: FeatureKind) -> FeatureSet:
+    """What a kind extracts from a scan that shows nothing."""
+    nothing, vectors = np.zeros(0, np.float32), np.zeros((0, 3))
+    return FeatureSet(
+        kind.name,
+        kind.representation,
+        vectors,
+        vectors,
+        np.zeros((0, 1), np.float32),
+        nothing.astype(bool),
+        nothing,
+    )
+
+
 def no_correspondences(kind: FeatureKind, scales: Scales) -> Correspondences:
     """What a kind answers when one of the scans has too few of its features."""
     return Correspondences(kind.name, np.zeros((0, 2), np.int64), np.zeros(0, np.float32), scales)

@@ -16,7 +16,7 @@ UP = 2
 def complete_room(
     frame: Frame, levelling: Levelling, networks: Container[str], max_depth_m: float, seed: int
 ) -> CompletedRoom:
-    """Complete one scan.
+    """Complete one scan; one that shows nothing stays as it is.
 
     Args:
         frame: its pixels.
@@ -31,6 +31,8 @@ def complete_room(
     depth = np.where(frame.depth < max_depth_m, frame.depth, np.float32(0))
     up = levelling.level_R_scan[UP]
     ring = panorama.scan_ring(depth, frame.colour, frame.intrinsics, up)
+    if not ring.depth.any():
+        return CompletedRoom(ring)
     points = layout.scan_points(ring, np.random.default_rng(seed))
     return CompletedRoom(
         ring,

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import ndimage
 
 from fewview.completion import room_matches
-from fewview.completion.kinds import ScanView
+from fewview.completion.kinds import ScanView, no_features
 from fewview.completion.layout.grid import DOOR, FREE, FURNITURE, WALL, cell_centres
 from fewview.config import FeatureConfig
 from fewview.geometry import se3
@@ -38,7 +38,8 @@ class Layout:
 
     def extract(self, view: ScanView, config: FeatureConfig) -> FeatureSet:
         layout = view.room.layout
-        assert layout is not None
+        if layout is None:
+            return no_features(self)
         at = chosen_cells(layout)
         scan_T_level = se3.inverse(layout.level_T_scan)
         return FeatureSet(

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import ndimage
 
 from fewview.completion import room_matches
-from fewview.completion.kinds import ScanView
+from fewview.completion.kinds import ScanView, no_features
 from fewview.completion.panorama.network import CLASSES
 from fewview.completion.panorama.ring import ring_points
 from fewview.config import FeatureConfig
@@ -36,7 +36,8 @@ class Panorama:
 
     def extract(self, view: ScanView, config: FeatureConfig) -> FeatureSet:
         panorama = view.room.panorama
-        assert panorama is not None
+        if panorama is None:
+            return no_features(self)
         at = chosen_pixels(panorama)
         scan_T_level = se3.inverse(panorama.level_T_scan)
         return FeatureSet(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fewview.completion import room_matches
-from fewview.completion.kinds import ScanView
+from fewview.completion.kinds import ScanView, no_features
 from fewview.config import FeatureConfig
 from fewview.geometry import se3
 from fewview.types import (
@@ -29,7 +29,8 @@ class Structure:
 
     def extract(self, view: ScanView, config: FeatureConfig) -> FeatureSet:
         completed = view.room.planes
-        assert completed is not None
+        if completed is None:
+            return no_features(self)
         planes = completed.planes
         scan_T_level = se3.inverse(view.room.level_T_scan)
         called = np.array([[p.kind == kind for kind in KINDS] for p in planes], np.float32)
