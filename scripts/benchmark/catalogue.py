@@ -141,8 +141,9 @@ def _pose_graph(label: str, pairs: str, optimiser: str, min_score: int = 0) -> M
     return MultiMethod(label, pairs, _GRAPH, {"optimiser": optimiser, "min_score": min_score})
 
 
-def _ours_top(k: int) -> MultiMethod:
-    return MultiMethod(f"Ours, top-{k}", "ours", "benchmark.backends.ours", {"top_k": k})
+def _ours_top(k: int, pairs: str = "ours") -> MultiMethod:
+    label = f"{PAIR_METHODS[pairs].label}, top-{k}"
+    return MultiMethod(label, pairs, "benchmark.backends.ours", {"top_k": k})
 
 
 MULTI_METHODS: Mapping[str, MultiMethod] = {
@@ -155,6 +156,7 @@ MULTI_METHODS: Mapping[str, MultiMethod] = {
     "kiss_robustrec": _pose_graph("KISS-Matcher + RobustRec", "kiss_icp", "robust_rec"),
     "xfeat_robustrec": _pose_graph("XFeat + RobustRec", "xfeat_icp", "robust_rec", 15),
     "xfeat_gnc": _pose_graph("XFeat + GNC", "xfeat_icp", "gnc", 15),
+    "seen_top5": _ours_top(5, "ours_seen"),
     "ours_top1": _ours_top(1),
     "ours_top3": _ours_top(3),
     "ours_top5": _ours_top(5),
