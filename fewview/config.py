@@ -95,7 +95,7 @@ class GlobalConfig:
     """... and this translation."""
     chance_agreement: float = 0.03
     """Probability that a wrong candidate agrees by chance (tolerance volume over pose volume)."""
-    levelled_chance_agreement: float = 0.1
+    levelled_chance_agreement: float = 0.2
     """The same for candidates not from matched features of what was seen: those of levelled scans
     share their four yaws and the walls they fit."""
     min_probability: float = 0.5
