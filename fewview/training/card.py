@@ -14,7 +14,6 @@ import torch
 from fewview.synthetic import read_library
 from fewview.training.settings import TrainConfig
 
-
 FOLDERS = frozenset({"store", "library", "init", "layout", "weights"})
 """Settings that are folders."""
 
