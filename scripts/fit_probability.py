@@ -23,7 +23,7 @@ from scipy.optimize import minimize
 
 from fewview import scans as readers
 from fewview import synthetic, weights
-from fewview.completion import complete
+from fewview.completion import OBSERVED_KINDS, complete
 from fewview.config import Config
 from fewview.evaluation.calibration import expected_calibration_error
 from fewview.executor import Executor
@@ -81,7 +81,6 @@ COMPLETED = (
     "alone_inside",
     "alone_through",
 )
-OBSERVED_KINDS = ("xfeat", "sift", "planes")
 RIDGE = 2.0
 
 
@@ -125,7 +124,8 @@ def main() -> None:
 
 def observed(config: Config) -> Config:
     """The settings without what the networks complete."""
-    return replace(config, features=replace(config.features, kinds=OBSERVED_KINDS))
+    kinds = tuple(kind.name for kind in OBSERVED_KINDS)
+    return replace(config, features=replace(config.features, kinds=kinds))
 
 
 def cached(cache: Path, name: str, make: Any) -> list[Pair]:

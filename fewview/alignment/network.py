@@ -16,7 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from fewview.alignment.drawing import CHANNELS
-from fewview.completion.layout.grid import CELL_M, CELLS, HALF_M, cell_centres
+from fewview.completion.layout.grid import CELL_M, CELLS, location_channels
 from fewview.completion.layout.unet import EncoderDecoder
 
 YAWS = 4
@@ -62,7 +62,7 @@ class AlignerNetwork(nn.Module):
         self.body = EncoderDecoder(inputs, config.width)
         self.head = nn.Conv2d(config.width, (YAWS + 1) * config.channels, 1)
         self.log_scale = nn.Parameter(torch.tensor(INITIAL_SCALE).log())
-        self.register_buffer("centres", _location_channels(), persistent=False)
+        self.register_buffer("centres", location_channels(), persistent=False)
 
     def forward(self, drawings: Tensor) -> Spectra:
         """Embed (B, CHANNELS, CELLS, CELLS) drawings."""
@@ -88,8 +88,3 @@ def shifts() -> Tensor:
     """(SHIFTS,) metres that the indices of a map stand for along each axis."""
     index = torch.arange(SHIFTS)
     return -STEP_M * torch.where(index < GRID, index, index - SHIFTS).float()
-
-
-def _location_channels() -> Tensor:
-    centres = torch.from_numpy(cell_centres()).permute(2, 0, 1) / HALF_M
-    return torch.cat([centres, centres.norm(dim=0, keepdim=True)])

@@ -20,7 +20,6 @@ from fewview.training.problem import Batch
 if TYPE_CHECKING:
     from fewview.synthetic.samples import RoomSample
 
-APART = 0.1
 TOP = 5
 
 
@@ -63,7 +62,7 @@ class AlignerProblem:
         usable &= (np.abs(motion[:, 1:]) < (GRID - 1) * STEP_M).all(axis=1)
         heading = np.array([_heading(d.level_T_scan) for d in drawn.drawings])
         away = heading[index[:, 1]] + np.pi - heading[index[:, 0]]
-        apart = np.array([drawn.shared(a, b) < APART for a, b in pairs])
+        apart = np.array([drawn.apart(a, b) for a, b in pairs])
         columns = {
             "source": index[:, 0],
             "target": index[:, 1],

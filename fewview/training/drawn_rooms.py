@@ -13,7 +13,7 @@ import torch
 
 from fewview import weights
 from fewview.alignment import Drawing, draw
-from fewview.completion.layout.complete import NAME, observed_cells
+from fewview.completion.layout.complete import NAME, floor_plane, observed_cells
 from fewview.completion.layout.network import LayoutNetwork, LayoutNetworkConfig
 from fewview.completion.layout.points import POINTS
 from fewview.completion.panorama.ring import ring_points
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from fewview.synthetic.samples import RoomSample
 
 VOXEL_M = 0.2
+APART = 0.1
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,10 @@ class DrawnRooms:
         """Share 0..1 of the smaller view's voxels that the other measured too."""
         smaller = max(1, min(len(self.seen[a]), len(self.seen[b])))
         return len(self.seen[a] & self.seen[b]) / smaller
+
+    def apart(self, a: int, b: int) -> bool:
+        """Whether they share less than a tenth of their surface."""
+        return self.shared(a, b) < APART
 
     def target_T_source(self, a: int, b: int) -> Array:
         """(4, 4) from the level frame of view ``a`` to that of view ``b``."""
@@ -79,14 +84,13 @@ def drawn_rooms(
     )
     for i, (colour, depth) in enumerate(zip(colours, depths, strict=True)):
         ring = RingScan(colour, depth, np.eye(4))
-        h, a, b = output.floor[i].numpy().astype(np.float64)
         layout = CompletedLayout(
             level_T_scan=frames[i],
             probabilities=chance[i],
             descriptors=np.zeros((0, 0, 0), np.float32),
             confidence=chance[i].max(axis=0),
             observed=observed[i],
-            floor=np.array([-a, -b, 1.0, h]),
+            floor=floor_plane(output.floor[i].numpy()),
         )
         drawings.append(draw(ring, layout))
         points = ring_points(depth)[depth > 0].astype(np.float64)

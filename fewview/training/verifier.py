@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 RIGHT_RAD, RIGHT_M = float(np.radians(15.0)), 0.3
 JITTER_RAD, JITTER_M = float(np.radians(3.0)), 0.1
 MISS_M = (0.4, 1.5)
-APART = 0.1
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,7 @@ class VerifierProblem:
                     "motion": motion,
                     "right": right,
                     "asked": asked,
-                    "apart": drawn.shared(a, b) < APART,
+                    "apart": drawn.apart(a, b),
                 }
                 for name, value in row.items():
                     columns.setdefault(name, []).append(np.asarray(value))

@@ -58,11 +58,12 @@ def complete_layout(
         output.descriptors[0].permute(1, 2, 0).cpu().numpy(),
         probabilities.amax(dim=0).cpu().numpy(),
         observed.cpu().numpy(),
-        _floor_plane(output.floor[0].cpu().numpy()),
+        floor_plane(output.floor[0].cpu().numpy()),
     )
 
 
-def _floor_plane(floor: FloatArray) -> Array:
+def floor_plane(floor: FloatArray) -> Array:
+    """(4,) upward unit normal and offset of the network's floor (3,) z = h + a x + b y."""
     h, a, b = floor.astype(np.float64)
     plane = np.array([-a, -b, 1.0, h])
     return np.asarray(plane / np.linalg.norm(plane[:3]))

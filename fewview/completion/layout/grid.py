@@ -25,6 +25,12 @@ def cell_centres() -> FloatArray:
     return np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1)
 
 
+def location_channels() -> Tensor:
+    """(3, CELLS, CELLS) x, y and distance of every cell's centre, in halves of the grid's edge."""
+    centres = torch.from_numpy(cell_centres()).permute(2, 0, 1) / HALF_M
+    return torch.cat([centres, centres.norm(dim=0, keepdim=True)])
+
+
 def cells_of(points: Tensor) -> tuple[Tensor, Tensor]:
     """The cell of (..., 2 or 3) points.
 

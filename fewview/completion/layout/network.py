@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from fewview.completion.layout.grid import CLASSES, HALF_M, cell_centres
+from fewview.completion.layout.grid import CLASSES, location_channels
 from fewview.completion.layout.pointnet import PointBatch, PointFeatures, SplitLinear
 from fewview.completion.layout.pooling import BINS, heights_over, pooled, seen_through
 from fewview.completion.layout.unet import EncoderDecoder
@@ -71,7 +71,7 @@ class LayoutNetwork(nn.Module):
         self.grid = EncoderDecoder(channels, config.width)
         self.head = nn.Conv2d(config.width, len(CLASSES) + DESCRIPTOR, 1)
         self.register_buffer("class_weights", torch.ones(len(CLASSES)))
-        self.register_buffer("centres", _location_channels(), persistent=False)
+        self.register_buffer("centres", location_channels(), persistent=False)
 
     def forward(self, batch: PointBatch) -> LayoutOutput:
         """Complete the layouts of several scans."""
@@ -98,8 +98,3 @@ class LayoutNetwork(nn.Module):
         dividing by w brings back p.
         """
         return torch.softmax(logits - torch.log(self.class_weights)[:, None, None], dim=1)
-
-
-def _location_channels() -> Tensor:
-    centres = torch.from_numpy(cell_centres()).permute(2, 0, 1) / HALF_M
-    return torch.cat([centres, centres.norm(dim=0, keepdim=True)])
