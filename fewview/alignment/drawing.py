@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from fewview.completion.layout.grid import CELL_M, CELLS, HALF_M, UNKNOWN
+from fewview.completion.layout.grid import CELLS, UNKNOWN, cells_of
 from fewview.completion.panorama.ring import ring_points
 from fewview.completion.panorama.walls import seen_normals
 from fewview.types import Array, CompletedLayout, FloatArray, RingScan
@@ -52,9 +53,8 @@ def draw(ring: RingScan, layout: CompletedLayout) -> Drawing:
     points = ring_points(ring.depth)[seen] @ turn.T
     normals = seen_normals(ring.depth)[seen] @ turn.T
     lab = _lab(ring.colour[seen])
-    cell = np.floor((HALF_M - points[:, :2]) / CELL_M).astype(np.int64)
-    inside = ((cell >= 0) & (cell < CELLS)).all(axis=1)
-    flat, height = (cell[:, 0] * CELLS + cell[:, 1])[inside], points[inside, 2] - floor_z
+    cell, inside = (found.numpy() for found in cells_of(torch.from_numpy(points)))
+    flat, height = cell[inside], points[inside, 2] - floor_z
     normals, lab = normals[inside], lab[inside]
     upright, up = np.abs(normals[:, 2]) < UPRIGHT_COS, normals[:, 2] > LEVEL_COS
     kinds = (
