@@ -14,7 +14,7 @@ from fewview import weights
 from fewview.alignment import AlignerNetwork, AlignerNetworkConfig
 from fewview.completion.layout.network import LayoutNetwork, LayoutNetworkConfig
 from fewview.training.aligner import AlignerProblem
-from fewview.training.drawn_rooms import drawn_rooms
+from fewview.training.drawn_rooms import DrawnRooms, drawing_fingerprint, drawn, mirrored
 from fewview.training.problem import Batch, Problem
 from fewview.training.verifier import VerifierProblem
 from fewview.verification import VerifierNetworkConfig
@@ -35,15 +35,41 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def batch_of(problem: Problem, seed: int = 0) -> Batch:
-    rooms = [box_room(i, views=3) for i in range(2)]
+    source = problem.prepared(lambda split, index, views, size: box_room(index, views=views))
+    rooms = [source("train", i, 3, 64) for i in range(2)]
     return problem.batch(rooms, np.random.default_rng(seed))
 
 
-def test_what_a_view_shares_with_itself(folder: str) -> None:
-    drawn = drawn_rooms([box_room(0, views=2)], folder, 0.0, np.random.default_rng(0))
-    assert drawn.shared(1, 1) == 1.0
-    assert drawn.shared(0, 1) < 1.0
-    np.testing.assert_allclose(drawn.target_T_source(1, 1), np.eye(4), atol=1e-9)
+def test_what_views_share(folder: str) -> None:
+    room = drawn(box_room(0, views=3), folder, 0.0, np.random.default_rng(0))
+    np.testing.assert_array_equal(np.diag(room.shared), 1.0)
+    np.testing.assert_array_equal(room.shared, room.shared.T)
+    assert room.shared.min() < 1.0
+    last_two = dataclasses.replace(room, **{name: array[1:] for name, array in vars(room).items()})
+    both = DrawnRooms([room, last_two])
+    assert both.apart(3, 4) == both.apart(1, 2) == (room.shared[1, 2] < 0.1)
+    np.testing.assert_array_equal(both.room, [0, 0, 0, 1, 1])
+    np.testing.assert_allclose(both.target_T_source(1, 3), np.eye(4), atol=1e-9)
+
+
+def test_a_mirrored_drawing_is_that_of_the_mirrored_room(folder: str) -> None:
+    problem = AlignerProblem(ALIGNER, folder)
+    room = drawn(box_room(0, views=2), folder, 0.0, np.random.default_rng(0))
+    batches = [problem.batch([r], np.random.default_rng(0)) for r in (room, mirrored(room))]
+    plain, turned = batches
+    torch.testing.assert_close(turned["drawing"], plain["drawing"].flip(3))
+    torch.testing.assert_close(turned["shift"], plain["shift"] * torch.tensor([1.0, -1.0]))
+    assert ((plain["yaw"] + turned["yaw"]) % 4 == 0).all()
+    twice = mirrored(mirrored(room))
+    np.testing.assert_allclose(twice.grid_T_level, room.grid_T_level, atol=1e-12)
+
+
+def test_other_weights_make_other_drawings(folder: str, tmp_path: Path) -> None:
+    first = drawing_fingerprint(folder, 1.0)
+    assert first == drawing_fingerprint(folder, 1.0)
+    assert first != drawing_fingerprint(folder, 2.0)
+    (tmp_path / "layout.safetensors").write_bytes(b"other")
+    assert first != drawing_fingerprint(str(tmp_path), 1.0)
 
 
 def test_the_aligner_is_taught_the_true_pose(folder: str) -> None:

@@ -31,7 +31,7 @@ def photograph_ring(colour: FloatArray, rng: Rng) -> Image:
         image = picture @ turn
         image += lift.astype(np.float32)
         shift = int(rng.integers(grain.shape[1]))
-        image += np.float32(rng.uniform(0.5, 5.0)) * np.roll(grain, shift, axis=1)
+        image += np.float32(rng.uniform(0.2, 2.5)) * np.roll(grain, shift, axis=1)
         view[:] = np.clip(image, 0, 255, out=image)
     return out
 
@@ -46,7 +46,7 @@ def measure_ring(
 ) -> FloatArray:
     """What sensors of various make give on the pixels of a ring.
 
-    A ring's pixel stands for one of the sensor's, so the noise is that of a single one.
+    A ring's pixel is the mean of several of the sensor's, so most of their noise is gone.
 
     Args:
         depth: (S, 4 S) metres along the camera's axis.
@@ -59,10 +59,11 @@ def measure_ring(
     Returns:
         (S, 4 S) metres along the camera's axis, 0 where it is lost.
     """
-    noise_px, least = NOISE_PX * rng.uniform(0.3, 2.0), rng.uniform(0.03, 0.2)
+    noise_px, step_px = (scale * rng.uniform(0.1, 1.0) for scale in (NOISE_PX, STEP_PX))
+    least = rng.uniform(0.03, 0.2)
     disparity = FOCAL_BASELINE / np.where(observed, depth, 1.0).astype(np.float32)
     disparity += np.float32(noise_px) * rng.standard_normal(depth.shape, dtype=np.float32)
-    disparity = np.maximum(np.round(disparity / STEP_PX) * STEP_PX, STEP_PX)
+    disparity = np.maximum(np.round(disparity / step_px) * step_px, step_px)
     chance = rng.random(depth.shape, dtype=np.float32)
     lost = (cosine < least + 0.2 * chance) | (chance > rng.uniform(0.95, 1.0))
     lost |= depth_edges(depth, 0.15) & (chance < rng.uniform(0.2, 0.9))

@@ -14,17 +14,23 @@ from torch import Tensor, nn
 from fewview.alignment import AlignerNetwork, AlignerNetworkConfig, planar_motion
 from fewview.alignment.align import MAX_YAW, QUARTER
 from fewview.alignment.network import GRID, STEP_M, YAWS, shifts
-from fewview.training.drawn_rooms import drawn_rooms
-from fewview.training.problem import Batch
+from fewview.training.drawn_rooms import (
+    Draughtsman,
+    DrawnRoom,
+    DrawnRooms,
+    drawing_fingerprint,
+    mirrored,
+)
+from fewview.training.problem import Batch, Problem
 
 if TYPE_CHECKING:
-    from fewview.synthetic.samples import RoomSample
+    from fewview.training.rooms import RoomSource
 
 TOP = 5
 
 
 @dataclass(frozen=True)
-class AlignerProblem:
+class AlignerProblem(Problem):
     """Find the yaw and the shift between all views of a room."""
 
     size: AlignerNetworkConfig = field(default_factory=AlignerNetworkConfig)
@@ -43,15 +49,26 @@ class AlignerProblem:
     def network(self) -> nn.Module:
         return AlignerNetwork(self.size)
 
-    def batch(self, rooms: Sequence[RoomSample], rng: np.random.Generator) -> Batch:
+    def prepared(self, rooms: RoomSource) -> RoomSource:
+        return Draughtsman(rooms, self.layout, self.tilt_deg)
+
+    def preparation(self) -> str:
+        return drawing_fingerprint(self.layout, self.tilt_deg)
+
+    def mirrored(self, room: DrawnRoom) -> DrawnRoom:
+        return mirrored(room)
+
+    def batch(self, rooms: Sequence[DrawnRoom], rng: np.random.Generator) -> Batch:
         """``drawing`` (B, CHANNELS, CELLS, CELLS); all ordered pairs of views of the same room:
         ``source``, ``target`` (P,); ``yaw`` (P,) true quarter turns, ``shift`` (P, 2) metres,
         ``apart`` (P,) whether they share hardly any surface, ``away`` (P,) the quarter turns that
         make the cameras face away from each other. Pairs whose walls are not parallel or that are
         out of reach are left out."""
-        drawn = drawn_rooms(rooms, self.layout, self.tilt_deg, rng)
-        groups = np.split(np.arange(len(drawn.drawings)), np.cumsum([len(r.depth) for r in rooms]))
-        pairs = [pair for group in groups for pair in itertools.permutations(group, 2)]
+        drawn = DrawnRooms(rooms)
+        views = range(len(drawn.drawings))
+        pairs = [
+            (a, b) for a, b in itertools.permutations(views, 2) if drawn.room[a] == drawn.room[b]
+        ]
         true = [
             planar_motion(drawn.drawings[a], drawn.drawings[b], drawn.target_T_source(a, b)[None])
             for a, b in pairs

@@ -1,113 +1,181 @@
-"""Training rooms as the verifier sees them: every view completed and drawn from above."""
+"""Training rooms as the aligner and the verifier see them: every view completed, from above."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
 
-from fewview import weights
+from fewview import alignment, weights
 from fewview.alignment import Drawing, draw
+from fewview.completion import layout
 from fewview.completion.layout.complete import NAME, floor_plane, observed_cells
 from fewview.completion.layout.network import LayoutNetwork, LayoutNetworkConfig
 from fewview.completion.layout.points import POINTS
 from fewview.completion.panorama.ring import ring_points
 from fewview.geometry import se3
+from fewview.synthetic import split_seed
 from fewview.training.point_batches import room_points
-from fewview.types import Array, CompletedLayout, RingScan
+from fewview.types import Array, CompletedLayout, FloatArray, IntArray, RingScan
 
 if TYPE_CHECKING:
+    from fewview.synthetic import Split
     from fewview.synthetic.samples import RoomSample
+    from fewview.training.rooms import RoomSource
 
 VOXEL_M = 0.2
 APART = 0.1
+LEFT = np.diag([1.0, -1.0, 1.0, 1.0])
+"""Mirrors the left axis of level frames."""
 
 
-@dataclass(frozen=True)
-class DrawnRooms:
-    """The views of some rooms one after the other, B in all.
+@dataclass(frozen=True, eq=False)
+class DrawnRoom:
+    """V views of one room.
 
     Attributes:
-        drawings: B of them; their ``level_T_scan`` begins at the view's level frame.
-        level_T_world: (B, 4, 4).
-        seen: voxels of the world that each view measured.
+        channels: (V, CHANNELS, CELLS, CELLS) float32 of their `Drawing`s.
+        grid_T_level: (V, 4, 4) from the views' level frames into the grids'.
+        floor_z: (V,) in the grids.
+        level_T_world: (V, 4, 4).
+        shared: (V, N) share 0..1 of the smaller view's surface that it and each of the N views
+            that were drawn have both measured.
+        number: (V,) of the views among the N.
     """
 
-    drawings: list[Drawing]
+    channels: FloatArray
+    grid_T_level: Array
+    floor_z: Array
     level_T_world: Array
-    seen: list[frozenset[int]]
+    shared: Array
+    number: IntArray
 
-    def shared(self, a: int, b: int) -> float:
-        """Share 0..1 of the smaller view's voxels that the other measured too."""
-        smaller = max(1, min(len(self.seen[a]), len(self.seen[b])))
-        return len(self.seen[a] & self.seen[b]) / smaller
+
+class DrawnRooms:
+    """The views of some rooms one after the other, B in all."""
+
+    def __init__(self, rooms: Sequence[DrawnRoom]) -> None:
+        self.room = np.repeat(np.arange(len(rooms)), [len(room.channels) for room in rooms])
+        self.drawings = [
+            Drawing(*view)
+            for room in rooms
+            for view in zip(room.channels, room.grid_T_level, room.floor_z.tolist(), strict=True)
+        ]
+        self.level_T_world = np.concatenate([room.level_T_world for room in rooms])
+        self._shared = [row for room in rooms for row in room.shared[:, room.number]]
+        self._first = np.searchsorted(self.room, self.room)
 
     def apart(self, a: int, b: int) -> bool:
-        """Whether they share less than a tenth of their surface."""
-        return self.shared(a, b) < APART
+        """Whether two views of one room share less than a tenth of their surface."""
+        return bool(self._shared[a][b - self._first[b]] < APART)
 
     def target_T_source(self, a: int, b: int) -> Array:
         """(4, 4) from the level frame of view ``a`` to that of view ``b``."""
         return np.asarray(self.level_T_world[b] @ se3.inverse(self.level_T_world[a]))
 
 
-def drawn_rooms(
-    rooms: Sequence[RoomSample], weights_folder: str, tilt_deg: float, rng: np.random.Generator
-) -> DrawnRooms:
-    """Complete and draw every view.
+@dataclass(frozen=True)
+class Draughtsman:
+    """A source of drawn rooms.
 
-    Args:
-        rooms: where the views are.
+    Attributes:
+        rooms: what is drawn.
         weights_folder: of the layout network, empty for the shipped ones.
         tilt_deg: standard deviation of the error of the level frame about each horizontal axis.
-        rng: chooses points and tilts.
-
-    Raises:
-        FewviewError: the weights are missing or damaged.
     """
-    scans = room_points(rooms, POINTS, tilt_deg, rng)
+
+    rooms: RoomSource
+    weights_folder: str
+    tilt_deg: float
+
+    def __call__(self, split: Split, index: int, views: int, size: int) -> DrawnRoom:
+        """Draw room number ``index`` of a split.
+
+        Raises:
+            FewviewError: the weights are missing or damaged.
+        """
+        room: RoomSample = self.rooms(split, index, views, size)
+        rng = np.random.default_rng([split_seed(split, index), 2])
+        return drawn(room, self.weights_folder, self.tilt_deg, rng)
+
+
+def drawn(
+    room: RoomSample, weights_folder: str, tilt_deg: float, rng: np.random.Generator
+) -> DrawnRoom:
+    """Complete and draw every view of a room; ``rng`` chooses points and tilts."""
+    scans = room_points([room], POINTS, tilt_deg, rng)
     network = _layout_network(weights_folder)
     with torch.inference_mode():
         output = network(scans.batch)
         chance = network.probabilities(output.logits).numpy()
         observed = observed_cells(output).numpy()
-    frames = se3.pose(scans.tilts @ scans.turns, np.zeros((len(scans.turns), 3)))
-    level_T_world = np.concatenate([room.level_T_world for room in rooms])
+    grid_T_level = se3.pose(scans.tilts @ scans.turns, np.zeros((len(scans.turns), 3)))
     drawings, seen = [], []
-    colours, depths = (
-        np.concatenate([getattr(r, n) for r in rooms]) for n in ("colour", "measured")
-    )
-    for i, (colour, depth) in enumerate(zip(colours, depths, strict=True)):
-        ring = RingScan(colour, depth, np.eye(4))
-        layout = CompletedLayout(
-            level_T_scan=frames[i],
+    for i, (colour, depth) in enumerate(zip(room.colour, room.measured, strict=True)):
+        completed = CompletedLayout(
+            level_T_scan=grid_T_level[i],
             probabilities=chance[i],
             descriptors=np.zeros((0, 0, 0), np.float32),
             confidence=chance[i].max(axis=0),
             observed=observed[i],
             floor=floor_plane(output.floor[i].numpy()),
         )
-        drawings.append(draw(ring, layout))
+        drawings.append(draw(RingScan(colour, depth, np.eye(4)), completed))
         points = ring_points(depth)[depth > 0].astype(np.float64)
-        seen.append(_voxels(se3.transform(se3.inverse(level_T_world[i]), points)))
-    return DrawnRooms(drawings, level_T_world, seen)
+        seen.append(_voxels(se3.transform(se3.inverse(room.level_T_world[i]), points)))
+    return DrawnRoom(
+        channels=np.stack([drawing.channels for drawing in drawings]),
+        grid_T_level=grid_T_level,
+        floor_z=np.array([drawing.floor_z for drawing in drawings]),
+        level_T_world=room.level_T_world,
+        shared=np.array([[_shared(a, b) for b in seen] for a in seen]),
+        number=np.arange(len(drawings)),
+    )
+
+
+def mirrored(room: DrawnRoom) -> DrawnRoom:
+    """The same room with left and right exchanged."""
+    values = {
+        "channels": room.channels[..., ::-1].copy(),
+        "grid_T_level": LEFT @ room.grid_T_level @ LEFT,
+        "level_T_world": LEFT @ room.level_T_world @ LEFT,
+    }
+    return cast(DrawnRoom, SimpleNamespace(**{**vars(room), **values}))
+
+
+def drawing_fingerprint(weights_folder: str, tilt_deg: float) -> str:
+    """Of what makes drawings of rooms: the layout network's weights, the tilt and the code."""
+    makes = hashlib.sha256(str(tilt_deg).encode())
+    makes.update((_folder(weights_folder) / f"{NAME}.safetensors").read_bytes())
+    for package in (layout, alignment):
+        for file in sorted(Path(str(package.__file__)).parent.glob("*.py")):
+            makes.update(file.read_bytes())
+    return makes.hexdigest()[:12]
 
 
 @cache
 def _layout_network(folder: str) -> LayoutNetwork:
     return weights.shipped(
-        NAME,
-        lambda size: LayoutNetwork(LayoutNetworkConfig(**size)),
-        Path(folder) if folder else weights.FOLDER,
+        NAME, lambda size: LayoutNetwork(LayoutNetworkConfig(**size)), _folder(folder)
     )
+
+
+def _folder(name: str) -> Path:
+    return Path(name) if name else weights.FOLDER
 
 
 def _voxels(points: Array) -> frozenset[int]:
     """The cells of a grid in the world that hold points (n, 3)."""
     index = np.floor(points / VOXEL_M).astype(np.int64) + 512
     return frozenset((index @ [1 << 20, 1 << 10, 1]).tolist())
+
+
+def _shared(a: frozenset[int], b: frozenset[int]) -> float:
+    return len(a & b) / max(1, min(len(a), len(b)))

@@ -20,7 +20,7 @@ from fewview.evaluation.segmentation import confusion, ious, mean_iou
 from fewview.training import losses
 from fewview.training.cell_matches import cell_matches, match_loss, match_recall
 from fewview.training.point_batches import given, room_points
-from fewview.training.problem import Batch
+from fewview.training.problem import Batch, Problem
 from fewview.types import Array, FloatArray
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ FLOOR_LEVERS_M = (1.0, 3.0, 3.0)
 
 
 @dataclass(frozen=True)
-class LayoutProblem:
+class LayoutProblem(Problem):
     """Complete the layout of furnished rooms from what one scan measures of them."""
 
     size: LayoutNetworkConfig = field(default_factory=LayoutNetworkConfig)

@@ -24,7 +24,7 @@ from fewview.completion.panorama.ring import unit
 from fewview.evaluation.segmentation import confusion, mean_iou
 from fewview.geometry import se3
 from fewview.training import contrastive, losses
-from fewview.training.problem import Batch
+from fewview.training.problem import Batch, Problem
 from fewview.types import BoolArray, IntArray
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ MOST_LOG_ERROR = 2.0
 
 
 @dataclass(frozen=True)
-class PanoramaProblem:
+class PanoramaProblem(Problem):
     """Complete rings of furnished rooms from what one scan measures of them."""
 
     size: PanoramaNetworkConfig = field(default_factory=PanoramaNetworkConfig)
@@ -59,7 +59,7 @@ class PanoramaProblem:
     """Share of the training rings without colour, so that geometry alone is believed as well."""
     pairs: int = 320
     """Places for the contrastive loss in each pair of views."""
-    class_weights: tuple[float, ...] = (0.0, 0.4, 0.8, 0.6, 1.0, 1.1, 2.0, 2.5, 2.0, 3.0, 1.0, 1.0)
+    class_weights: tuple[float, ...] = (0.0, 0.4, 0.8, 0.6, 1.0, 1.1, 2.0, 2.5, 4.0, 5.0, 1.0, 1.0)
     """Of unknown, wall, floor, ceiling, door, window, table, chair, sofa, bed, cabinet, other."""
     name: str = "panorama"
     """Of the weights."""

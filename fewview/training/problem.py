@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from torch import Tensor, nn
@@ -12,9 +12,11 @@ from torch import Tensor, nn
 from fewview.errors import ConfigError
 
 if TYPE_CHECKING:
-    from fewview.synthetic.samples import RoomSample
+    from fewview.training.rooms import RoomSource
 
 Batch = dict[str, Tensor]
+Room = Any
+"""A `RoomSample` or what a problem makes of one: arrays whose first axis counts the views."""
 PROBLEMS: Mapping[str, tuple[str, str]] = {
     "aligner": ("fewview.training.aligner", "AlignerProblem"),
     "layout": ("fewview.training.layout", "LayoutProblem"),
@@ -35,7 +37,21 @@ class Problem(Protocol):
     def network(self) -> nn.Module:
         """The network with weights drawn from torch's generator."""
 
-    def batch(self, rooms: Sequence[RoomSample], rng: np.random.Generator) -> Batch:
+    def prepared(self, rooms: RoomSource) -> RoomSource:
+        """A source of what `batch` is given of every room."""
+        return rooms
+
+    def preparation(self) -> str:
+        """Fingerprint of what `prepared` does, empty where it does nothing."""
+        return ""
+
+    def mirrored(self, room: Room) -> Room:
+        """A prepared room with left and right exchanged."""
+        from fewview.training.rooms import mirrored
+
+        return mirrored(room)
+
+    def batch(self, rooms: Sequence[Room], rng: np.random.Generator) -> Batch:
         """What the network sees of some rooms and the truth about them; made in a worker."""
 
     def losses(self, network: nn.Module, batch: Batch) -> dict[str, Tensor]:

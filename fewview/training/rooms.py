@@ -21,6 +21,7 @@ from fewview.training.settings import TrainConfig
 if TYPE_CHECKING:
     from fewview.synthetic import Library, Split
     from fewview.synthetic.samples import RoomSample
+    from fewview.training.problem import Room
 
 SPARE_ROOMS = 5
 SPARE_STRIDE = 10**8
@@ -35,7 +36,7 @@ RIGHT = np.array([-1.0, 1.0, 1.0])
 class RoomSource(Protocol):
     """Where rooms come from."""
 
-    def __call__(self, split: Split, index: int, views: int, size: int) -> RoomSample:
+    def __call__(self, split: Split, index: int, views: int, size: int) -> Room:
         """Room number ``index`` of a split."""
 
 
@@ -76,17 +77,17 @@ class Stored:
     folder: Path
     source: RoomSource
 
-    def __call__(self, split: Split, index: int, views: int, size: int) -> RoomSample:
+    def __call__(self, split: Split, index: int, views: int, size: int) -> Room:
         """Read the room, or make it and write it."""
         path = self.folder / f"{split}-{views}x{size}" / f"{index:07d}.npz"
         if not path.is_file():
             self._write(path, self.source(split, index, views, size))
         with np.load(path) as arrays:
             values = {name: _widened(arrays[name]) for name in arrays.files}
-        return cast("RoomSample", SimpleNamespace(**values))
+        return SimpleNamespace(**values)
 
     @staticmethod
-    def _write(path: Path, room: RoomSample) -> None:
+    def _write(path: Path, room: Room) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_suffix(f".{os.getpid()}.part")
         with partial.open("wb") as file:
@@ -117,15 +118,14 @@ class RoomBatches(Dataset[Batch]):
             index += c.first_room if training else 0
             room = self.source(self.split, index, c.made_views or c.views, c.size)
             room = some_views(room, c.views, rng)
-            rooms.append(mirrored(room) if turn % 2 else room)
+            rooms.append(c.settings.mirrored(room) if turn % 2 else room)
         return c.settings.batch(rooms, rng)
 
 
-def some_views(room: RoomSample, count: int, rng: np.random.Generator) -> RoomSample:
+def some_views(room: Room, count: int, rng: np.random.Generator) -> Room:
     """A room with ``count`` of its cameras."""
     chosen = rng.permutation(len(room.depth))[:count]
-    arrays = {name: array[chosen] for name, array in vars(room).items()}
-    return cast("RoomSample", SimpleNamespace(**arrays))
+    return SimpleNamespace(**{name: array[chosen] for name, array in vars(room).items()})
 
 
 def mirrored(room: RoomSample) -> RoomSample:
@@ -153,16 +153,17 @@ def loader(batches: RoomBatches, steps: range, jobs: int) -> DataLoader[Batch]:
 
 
 def source_of(config: TrainConfig) -> RoomSource:
-    """Where a run's rooms come from; stored ones lie in a folder of their generator's own.
+    """Where a run's rooms come from; stored ones lie in a folder of what makes them.
 
     Raises:
         FewviewError: the library's folder holds no furniture models.
     """
     library = synthetic.read_library(Path(config.library)) if config.library else None
-    source = partial(generated, library=library)
+    source = config.settings.prepared(partial(generated, library=library))
     if not config.store:
         return source
-    return Stored(Path(config.store) / generator_fingerprint(library), source)
+    makes = [generator_fingerprint(library), config.settings.preparation()]
+    return Stored(Path(config.store) / "-".join(filter(None, makes)), source)
 
 
 def _narrowed(array: np.ndarray) -> np.ndarray:

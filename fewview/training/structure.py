@@ -28,7 +28,7 @@ from fewview.training.plane_figures import (
 )
 from fewview.training.plane_matches import match_loss, match_recall
 from fewview.training.point_batches import given
-from fewview.training.problem import Batch
+from fewview.training.problem import Batch, Problem
 from fewview.training.structure_batch import structure_batch
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class StructureProblem:
+class StructureProblem(Problem):
     """Name the planes of furnished rooms from what one scan measures of them."""
 
     size: StructureNetworkConfig = field(default_factory=StructureNetworkConfig)

@@ -22,13 +22,19 @@ from fewview import weights
 from fewview.alignment import AlignerNetwork, Alignment, embed, planar_motion
 from fewview.alignment.align import NAME as ALIGNER
 from fewview.alignment.align import aligner_of
-from fewview.training.drawn_rooms import drawn_rooms
-from fewview.training.problem import Batch
+from fewview.training.drawn_rooms import (
+    Draughtsman,
+    DrawnRoom,
+    DrawnRooms,
+    drawing_fingerprint,
+    mirrored,
+)
+from fewview.training.problem import Batch, Problem
 from fewview.types import Array, BoolArray, FloatArray
 from fewview.verification.network import VerifierNetwork, VerifierNetworkConfig, together
 
 if TYPE_CHECKING:
-    from fewview.synthetic.samples import RoomSample
+    from fewview.training.rooms import RoomSource
 
 RIGHT_RAD, RIGHT_M = float(np.radians(15.0)), 0.3
 JITTER_RAD, JITTER_M = float(np.radians(3.0)), 0.1
@@ -36,7 +42,7 @@ MISS_M = (0.4, 1.5)
 
 
 @dataclass(frozen=True)
-class VerifierProblem:
+class VerifierProblem(Problem):
     """Tell the right pose of two scans from those that also look like a room."""
 
     size: VerifierNetworkConfig = field(default_factory=VerifierNetworkConfig)
@@ -57,18 +63,26 @@ class VerifierProblem:
     def network(self) -> nn.Module:
         return VerifierNetwork(self.size)
 
-    def batch(self, rooms: Sequence[RoomSample], rng: np.random.Generator) -> Batch:
+    def prepared(self, rooms: RoomSource) -> RoomSource:
+        return Draughtsman(rooms, self.weights, self.tilt_deg)
+
+    def preparation(self) -> str:
+        return drawing_fingerprint(self.weights, self.tilt_deg)
+
+    def mirrored(self, room: DrawnRoom) -> DrawnRoom:
+        return mirrored(room)
+
+    def batch(self, rooms: Sequence[DrawnRoom], rng: np.random.Generator) -> Batch:
         """``drawing`` (B, CHANNELS, CELLS, CELLS); ``source``, ``target`` (P,) which of them;
         ``motion`` (P, K, 3), ``right``, ``asked`` (P, K), the candidates, best score first and the
         true pose with a near miss last; ``apart`` (P,) whether they share hardly any surface;
         ``turn`` () quarter turns in which they are drawn."""
-        drawn = drawn_rooms(rooms, self.weights, self.tilt_deg, rng)
+        drawn = DrawnRooms(rooms)
         aligner = _aligner(self.weights)
         scans = [embed(drawing, aligner) for drawing in drawn.drawings]
         columns: dict[str, list[np.ndarray]] = {}
-        first = 0
-        for room in rooms:
-            views = range(first, first + len(room.depth))
+        for room in range(len(rooms)):
+            views = np.flatnonzero(drawn.room == room)
             pairs = np.array(list(itertools.permutations(views, 2)))
             for a, b in pairs[rng.permutation(len(pairs))[: self.pairs]]:
                 true = drawn.target_T_source(a, b)
@@ -86,7 +100,6 @@ class VerifierProblem:
                 }
                 for name, value in row.items():
                     columns.setdefault(name, []).append(np.asarray(value))
-            first += len(room.depth)
         return {
             "drawing": torch.from_numpy(np.stack([d.channels for d in drawn.drawings])),
             "turn": torch.tensor(int(rng.integers(4))),
