@@ -12,8 +12,9 @@ from fewview.config import Config
 from fewview.geometry import se3
 from fewview.matching.completed import completion_poses
 from fewview.matching.consistency import CandidateMatches, consistency_matrix, joined, stack
+from fewview.matching.heights import lift, lifted
 from fewview.matching.manhattan import manhattan_poses
-from fewview.matching.prepared import PreparedScan
+from fewview.matching.prepared import PreparedScan, aligned
 from fewview.matching.spectral import agreeing, top_poses
 from fewview.probability import ProbabilityModel, shipped_model
 from fewview.refinement import evidence
@@ -98,7 +99,8 @@ def match_pair(
 def weigh_pair(source: PreparedScan, target: PreparedScan, config: Config) -> Weighed:
     """Propose, refine and weigh poses; what `match_pair` does before it judges."""
     observed, completed = _candidate_matches(source.scan, target.scan, config)
-    proposals, origins, scores = _propose(source, target, observed, completed, config)
+    alignment = aligned(source, target)
+    proposals, origins, scores = _propose(source, target, observed, completed, alignment, config)
     matches = joined(observed, completed)
     refined = _refine(source, target, proposals, matches, config)
     poses = refined.target_T_source
@@ -108,7 +110,7 @@ def weigh_pair(source: PreparedScan, target: PreparedScan, config: Config) -> We
     kept = tuple(origins[k] for k in chosen)
     covariance = refined.covariance[chosen]
     found = evidence.gather(
-        source, target, poses, covariance, matches, support, kept, scores[chosen]
+        source, target, poses, covariance, matches, support, kept, scores[chosen], alignment
     )
     return Weighed(poses, covariance, kept, scores[chosen], matches, support, found)
 
@@ -131,6 +133,7 @@ def _propose(
     target: PreparedScan,
     observed: CandidateMatches,
     completed: CandidateMatches,
+    alignment: Alignment | None,
     config: Config,
 ) -> tuple[Array, list[CandidateOrigin], Array]:
     """Initial poses (K, 4, 4), where they come from and their scores (K,)."""
@@ -138,17 +141,23 @@ def _propose(
     found = {CandidateOrigin.SPECTRAL: [(h.target_T_source, h.score) for h in spectral]}
     strongest = max((len(h.inliers) for h in spectral), default=0)
     if strongest < CERTAIN_INLIERS:
+        source_lift = lift(source.scan, target.scan, source.heights, target.heights)
         found[CandidateOrigin.COMPLETION] = completion_poses(
-            source.scan, target.scan, completed, config.matching.top_k
+            target.scan, completed, source_lift, config.matching.top_k
         )
-        if config.matching.alignment and source.above is not None and target.above is not None:
-            aligned = Alignment(source.above, target.above).best(ALIGNED)
-            found[CandidateOrigin.ALIGNMENT] = list(
-                zip(aligned.target_T_source, aligned.log_mass, strict=True)
-            )
+        if config.matching.alignment and alignment is not None:
+            best = alignment.best(ALIGNED)
+            found[CandidateOrigin.ALIGNMENT] = [
+                (lifted(pose, target.scan, source_lift), float(mass))
+                for pose, mass in zip(best.target_T_source, best.log_mass, strict=True)
+            ]
         if config.matching.manhattan:
             found[CandidateOrigin.MANHATTAN] = manhattan_poses(
-                source.raster, target.raster, source.scan.levelling, target.scan.levelling
+                source.raster,
+                target.raster,
+                source.scan.levelling,
+                target.scan.levelling,
+                source_lift,
             )
     origins = [origin for origin, poses in found.items() for _ in poses]
     poses = [pose for poses in found.values() for pose in poses]

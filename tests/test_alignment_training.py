@@ -13,9 +13,12 @@ from box_rooms import box_room
 from fewview import weights
 from fewview.alignment import AlignerNetwork, AlignerNetworkConfig
 from fewview.completion.layout.network import LayoutNetwork, LayoutNetworkConfig
+from fewview.synthetic import Split
+from fewview.training import loop, rooms
 from fewview.training.aligner import AlignerProblem
 from fewview.training.drawn_rooms import DrawnRooms, drawing_fingerprint, drawn, mirrored
 from fewview.training.problem import Batch, Problem
+from fewview.training.settings import TrainConfig
 from fewview.training.verifier import VerifierProblem
 from fewview.verification import VerifierNetworkConfig
 
@@ -107,6 +110,32 @@ def test_losses_fall_and_figures_are_shares_and_errors(folder: str, name: str) -
     shares = [v for k, v in figures.items() if not k.endswith(("deg", "_m")) and np.isfinite(v)]
     assert shares
     assert all(0.0 <= v <= 1.0 for v in shares)
+
+
+def test_a_run_learns_from_rooms_drawn_once(
+    folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[int] = []
+
+    def generated(split: Split, index: int, views: int, size: int, library: None) -> object:
+        made.append(index)
+        return box_room(index, views=views)
+
+    monkeypatch.setattr(rooms, "generated", generated)
+    config = TrainConfig(
+        "aligner",
+        AlignerProblem(ALIGNER, folder),
+        steps=4,
+        rooms=1,
+        views=2,
+        made_views=3,
+        pool=2,
+        validation_rooms=1,
+        store=str(tmp_path / "store"),
+    )
+    loop.train(config, tmp_path / "run", device="cpu", jobs=0)
+    assert sorted(made) == [0, 0, 1]
+    assert weights.load("aligner", tmp_path / "run")[1]["steps"] == 4
 
 
 def test_some_pairs_of_the_verifier_have_no_right_candidate(folder: str) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from fewview import synthetic
 from fewview.completion import complete
-from fewview.completion.levelling import level, upright
+from fewview.completion.levelling import doubted, level, upright
 from fewview.completion.local_geometry import DepthView, reduce_depth, thin_surface
 from fewview.completion.orientation import glance, quarter_turns
 from fewview.completion.patches import find_patches
@@ -20,7 +20,14 @@ from fewview.errors import ConfigError
 from fewview.geometry import se3
 from fewview.matching.prepared import prepare
 from fewview.pairwise import match_pair, refine_alone
-from fewview.types import CompletedScan, Frame, Intrinsics, Representation, Surface
+from fewview.types import (
+    CompletedScan,
+    Frame,
+    Intrinsics,
+    Levelling,
+    Representation,
+    Surface,
+)
 from tests.turning import turned_frame
 
 CONFIG = FeatureConfig()
@@ -203,3 +210,11 @@ def test_scattered_coplanar_points_are_no_patch() -> None:
     labelled, patches = find_patches(surface, 5, np.random.default_rng(0))
     assert patches == ()
     assert (labelled.labels == -1).all()
+
+
+@pytest.mark.parametrize(("predicted", "believed"), [(-1.5, True), (-1.1, False), (-1.9, False)])
+def test_a_floor_far_from_the_predicted_one_is_doubted(predicted: float, believed: bool) -> None:
+    seen = Levelling(np.eye(3), 0.9, True, -1.45)
+    assert doubted(seen, predicted).floor_z == (-1.45 if believed else None)
+    unseen = dataclasses.replace(seen, floor_z=None)
+    assert doubted(unseen, predicted) == unseen

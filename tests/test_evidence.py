@@ -12,6 +12,7 @@ from fewview.completion import complete
 from fewview.config import FeatureConfig
 from fewview.geometry import se3
 from fewview.geometry.camera import backproject
+from fewview.matching.heights import lift
 from fewview.matching.manhattan import manhattan_poses
 from fewview.matching.prepared import PreparedScan, prepare
 from fewview.probability import ProbabilityModel, shipped_model
@@ -109,7 +110,9 @@ def test_manhattan_candidates_hold_the_right_yaw_and_its_turns(
     room_views: tuple[list[PreparedScan], list[np.ndarray]],
 ) -> None:
     (a, b), (world_T_a, world_T_b) = room_views
-    found = manhattan_poses(a.raster, b.raster, a.scan.levelling, b.scan.levelling)
+    source_lift = lift(a.scan, b.scan, a.heights, b.heights)
+    levels = a.scan.levelling, b.scan.levelling
+    found = manhattan_poses(a.raster, b.raster, *levels, source_lift)
     truth = se3.inverse(world_T_b) @ world_T_a
     errors = [se3.distance(pose, truth) for pose, _ in found]
     assert any(np.degrees(turn) < 4 and shift < 0.3 for turn, shift in errors)
@@ -122,7 +125,7 @@ def test_manhattan_candidates_hold_the_right_yaw_and_its_turns(
 def test_no_manhattan_candidates_without_walls() -> None:
     scan = wall_scan(2.0)
     unlevelled = type(scan.scan.levelling)(np.eye(3), 0.0, False, None)
-    assert manhattan_poses(scan.raster, scan.raster, unlevelled, scan.scan.levelling) == []
+    assert manhattan_poses(scan.raster, scan.raster, unlevelled, scan.scan.levelling, 0.0) == []
 
 
 def test_depth_image_points_project_onto_themselves() -> None:

@@ -8,7 +8,14 @@ import torch
 from torch import Tensor
 
 from fewview.completion.layout.complete import complete_layout
-from fewview.completion.layout.grid import CELL_M, CELLS, cell_centres, cells_of, field_of_view
+from fewview.completion.layout.grid import (
+    CELL_M,
+    CELLS,
+    CLASSES,
+    cell_centres,
+    cells_of,
+    field_of_view,
+)
 from fewview.completion.layout.network import LayoutNetwork, LayoutNetworkConfig
 from fewview.completion.layout.pointnet import PointBatch, SplitLinear
 from fewview.completion.layout.points import ScanPoints, about_vertical, scan_points
@@ -144,7 +151,8 @@ def test_shapes_and_unit_descriptors(network: LayoutNetwork) -> None:
     np.testing.assert_allclose(result.probabilities.sum(axis=0), 1.0, atol=1e-5)
     assert result.descriptors.shape == (CELLS, CELLS, 32)
     np.testing.assert_allclose(np.linalg.norm(result.descriptors, axis=-1), 1.0, atol=1e-4)
-    np.testing.assert_allclose(result.confidence, result.probabilities.max(axis=0))
+    chosen = np.take_along_axis(result.probabilities, result.classes[None].astype(int), axis=0)
+    np.testing.assert_allclose(result.confidence, chosen[0])
     assert 0.02 < result.observed.mean() < 0.3
     assert np.linalg.norm(result.floor[:3]) == pytest.approx(1.0)
 
@@ -168,6 +176,12 @@ def test_probabilities_undo_the_weights_of_the_classes(network: LayoutNetwork) -
     truth = torch.tensor([0.4, 0.1, 0.3, 0.15, 0.05])
     logits = torch.log(truth * network.class_weights)[None, :, None, None]
     torch.testing.assert_close(network.probabilities(logits)[0, :, 0, 0], truth)
+
+
+def test_a_wall_that_may_be_elsewhere_is_still_a_wall(network: LayoutNetwork) -> None:
+    truth = torch.tensor([0.35, 0.25, 0.3, 0.05, 0.05])
+    logits = torch.log(truth * network.class_weights)[None, :, None, None]
+    assert CLASSES[int(network.classes(logits))] == "wall"
 
 
 def batch_of(rooms: int = 2, views: int = 2) -> dict[str, Tensor]:

@@ -83,6 +83,7 @@ def _room(size: int = SIZE) -> CompletedRoom:
     layout = CompletedLayout(
         LEVEL_T_SCAN,
         cells,
+        sample.layout[0],
         np.zeros((64, 64, 32), np.float32),
         cells.max(axis=0),
         seen,
@@ -171,6 +172,7 @@ def test_the_camera_of_a_layout_points_where_it_looks(azimuth: float) -> None:
     layout = CompletedLayout(
         se3.pose(level_R_scan, np.zeros(3)),
         unknown,
+        np.zeros((64, 64), np.uint8),
         np.zeros((64, 64, 32), np.float32),
         unknown[0],
         np.zeros((64, 64), bool),

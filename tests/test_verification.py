@@ -77,6 +77,7 @@ def test_a_drawing_shows_wall_table_and_floor() -> None:
     layout = CompletedLayout(
         np.eye(4),
         np.full((5, CELLS, CELLS), 0.2, np.float32),
+        np.zeros((CELLS, CELLS), np.uint8),
         np.zeros((0, 0, 0), np.float32),
         np.full((CELLS, CELLS), 0.2, np.float32),
         np.zeros((CELLS, CELLS), bool),

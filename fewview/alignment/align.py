@@ -84,7 +84,7 @@ class Alignment:
     ) -> None:
         network = shipped_network() if network is None else network
         with torch.inference_mode():
-            logits = network.logits(source.spectra.source, target.spectra.target)[0]
+            logits = network.logits(source.spectra.source, target.spectra.target)[0, 0]
         self.source, self.target = source.drawing, target.drawing
         chance = logits.flatten().softmax(dim=0).view_as(logits)
         self.mass: FloatArray = _around(chance).numpy()

@@ -47,7 +47,7 @@ class Drawing:
 
 def draw(ring: RingScan, layout: CompletedLayout) -> Drawing:
     """Draw a scan whose layout was completed."""
-    floor_z = float(layout.floor[3] / layout.floor[2])
+    floor_z = layout.floor_z
     turn = (layout.level_T_scan[:3, :3] @ ring.level_T_scan[:3, :3].T).astype(np.float32)
     seen = ring.depth > 0
     points = ring_points(ring.depth)[seen] @ turn.T

@@ -78,9 +78,13 @@ class AlignerNetwork(nn.Module):
         return Spectra(torch.fft.rfft2(turned, size), torch.fft.rfft2(target, size))
 
     def logits(self, source: Tensor, target: Tensor) -> Tensor:
-        """(P, YAWS, SHIFTS, SHIFTS) of P pairs' spectra; entry (k, i, j) is for a yaw of k quarter
-        turns and a shift of -STEP_M (i, j), indices beyond half counting back from zero."""
-        met = (source.conj() * target[:, None]).sum(dim=2)
+        """(A, B, YAWS, SHIFTS, SHIFTS) of all pairs of A sources' and B targets' spectra; entry
+        (k, i, j) is for a yaw of k quarter turns and a shift of -STEP_M (i, j), indices beyond
+        half counting back from zero."""
+        rows, columns = target.shape[-2:]
+        back = source.conj().flatten(3).permute(3, 0, 1, 2).flatten(1, 2)
+        met = back @ target.flatten(2).permute(2, 1, 0)
+        met = met.reshape(rows, columns, len(source), YAWS, len(target)).permute(2, 4, 3, 0, 1)
         return torch.as_tensor(self.log_scale.exp() * torch.fft.irfft2(met, (SHIFTS, SHIFTS)))
 
 

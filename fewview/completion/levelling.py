@@ -7,6 +7,8 @@ agrees with wins and is refined by weighted least squares on the normals.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from fewview.types import Array, Levelling, PlanarPatch, Surface
@@ -16,6 +18,7 @@ AGREE_DEG = 8.0
 CAMERA_AGREEMENT_WEIGHT = 0.15
 MIN_WALL_SHARE = 0.08
 FLOOR_RANGE_M = (0.25, 2.6)
+DOUBTED_M = 0.3
 
 
 def level(surface: Surface, patches: tuple[PlanarPatch, ...], quarter_turns: int = 0) -> Levelling:
@@ -34,6 +37,17 @@ def level(surface: Surface, patches: tuple[PlanarPatch, ...], quarter_turns: int
     heading, manhattan = _heading(surface.normals, up)
     level_R_scan = _frame(up, heading)
     return Levelling(level_R_scan, confidence, manhattan, _floor(surface, up))
+
+
+def doubted(levelling: Levelling, predicted_floor_z: float) -> Levelling:
+    """The levelling without a floor that it took something else for, by a predicted height.
+
+    A table top or a bed that hides the floor is the lowest large surface in a fifth of the views.
+    """
+    floor_z = levelling.floor_z
+    if floor_z is None or abs(floor_z - predicted_floor_z) < DOUBTED_M:
+        return levelling
+    return replace(levelling, floor_z=None)
 
 
 def upright(quarter_turns: int) -> Array:

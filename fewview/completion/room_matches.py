@@ -68,7 +68,7 @@ def floor_height(scan: CompletedScan) -> float | None:
     if scan.levelling.floor_z is not None:
         return scan.levelling.floor_z
     if scan.room.layout is not None:
-        return float(scan.room.layout.floor[3] / scan.room.layout.floor[2])
+        return scan.room.layout.floor_z
     if scan.room.planes is not None:
         return float(scan.room.planes.planes[0].centre[2])
     return None

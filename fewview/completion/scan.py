@@ -6,7 +6,7 @@ import numpy as np
 
 from fewview.completion.kinds import FeatureKind, ScanView
 from fewview.completion.layout.features import Layout
-from fewview.completion.levelling import level
+from fewview.completion.levelling import doubted, level
 from fewview.completion.local_geometry import DepthView, thin_surface
 from fewview.completion.panorama.features import Panorama
 from fewview.completion.patches import find_patches
@@ -60,6 +60,8 @@ def complete(
     surface, patches = find_patches(surface, config.max_patches, np.random.default_rng(seed))
     levelling = level(surface, patches, quarter_turns)
     room = complete_room(frame, levelling, asked_networks(config), config.max_depth_m, seed)
+    if room.layout is not None:
+        levelling = doubted(levelling, room.layout.floor_z)
     view = ScanView(frame, quarter_turns, depth, surface, patches, levelling, room)
     return CompletedScan(
         name=name,

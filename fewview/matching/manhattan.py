@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft, ndimage
 
+from fewview.completion.room_matches import floor_height
 from fewview.geometry import se3
 from fewview.types import Array, CompletedScan, FloatArray, Levelling
 
@@ -31,9 +32,6 @@ CONTRADICTION_WEIGHT = 2.0
 PEAKS_PER_YAW = 3
 MAX_POSES = 6
 PEAK_RADIUS = 3
-HEIGHT_BIN_M = 0.05
-HEIGHT_RANGE_M = 3.0
-MAX_HEIGHT_SHIFT_M = 0.6
 
 
 @dataclass(frozen=True)
@@ -43,42 +41,44 @@ class TopDown:
     Attributes:
         turned_spectra: (4, C + 2, P, P / 2 + 1) spectra after each quarter turn of C channels of
             faces, of all upright faces together, and of the space the scan looked through.
-        heights: (2, H) histogram of the heights of upward and downward faces.
     """
 
     turned_spectra: np.ndarray
-    heights: FloatArray
 
 
 def top_down(scan: CompletedScan) -> TopDown:
     """Rasterise a scan in its level frame."""
     level = scan.levelling.level_R_scan.T
     points, normals = scan.surface.points @ level, scan.surface.normals @ level
-    floor_z = scan.levelling.floor_z
+    floor_z = floor_height(scan)
     heights = points[:, 2] - (-DEFAULT_CAMERA_HEIGHT_M if floor_z is None else floor_z)
     walls, tops = _wall_raster(points, normals, heights), _top_raster(points, normals, heights)
     free = _free_raster(points)
     free *= 1.0 - np.minimum(walls.sum(axis=(0, 1)), 1.0)
-    return TopDown(_turned_spectra(walls, tops, free), _height_histogram(points, normals))
+    return TopDown(_turned_spectra(walls, tops, free))
 
 
 def manhattan_poses(
-    source: TopDown, target: TopDown, source_level: Levelling, target_level: Levelling
+    source: TopDown,
+    target: TopDown,
+    source_level: Levelling,
+    target_level: Levelling,
+    source_lift: float,
 ) -> list[tuple[Array, float]]:
     """Poses target_T_source and their raster scores, best first; none without two Manhattan frames.
 
-    The score is the wall agreement less the contradictions, in cells.
+    The score is the wall agreement less the contradictions, in cells; for ``source_lift`` see
+    `heights.lift`.
     """
     if not (source_level.manhattan and target_level.manhattan):
         return []
-    height = _height_shift(source, target, source_level, target_level)
     poses = []
     for yaw in range(4):
         for (x, y), score in _best_shifts(source.turned_spectra[yaw], target.turned_spectra[0]):
             angle = yaw * np.pi / 2
             turn = se3.rotation_exp(np.array([0.0, 0.0, angle]))
             rotation = target_level.level_R_scan.T @ turn @ source_level.level_R_scan
-            shift = target_level.level_R_scan.T @ np.array([x, y, height])
+            shift = target_level.level_R_scan.T @ np.array([x, y, source_lift])
             poses.append((se3.pose(rotation, shift), score))
     return sorted(poses, key=lambda pose: -pose[1])[:MAX_POSES]
 
@@ -167,27 +167,3 @@ def _best_shifts(source: np.ndarray, target: np.ndarray) -> list[tuple[tuple[flo
 
 def _shift(index: int) -> float:
     return CELL_M * (index if index < SIZE else index - PADDED)
-
-
-def _height_histogram(points: Array, normals: Array) -> FloatArray:
-    bins = np.arange(-HEIGHT_RANGE_M, HEIGHT_RANGE_M + HEIGHT_BIN_M / 2, HEIGHT_BIN_M)
-    up = np.histogram(points[normals[:, 2] > 0.9, 2], bins)[0]
-    down = np.histogram(points[normals[:, 2] < -0.9, 2], bins)[0]
-    smooth = ndimage.gaussian_filter1d(np.stack([up, down]).astype(np.float32), 1.0, axis=1)
-    return np.asarray(np.sqrt(smooth))
-
-
-def _height_shift(
-    source: TopDown, target: TopDown, source_level: Levelling, target_level: Levelling
-) -> float:
-    """What is added to heights in the source's level frame to get the target's."""
-    if source_level.floor_z is not None and target_level.floor_z is not None:
-        return target_level.floor_z - source_level.floor_z
-    steps = round(MAX_HEIGHT_SHIFT_M / HEIGHT_BIN_M)
-    width = source.heights.shape[1]
-    scores = []
-    for step in range(-steps, steps + 1):
-        a = source.heights[:, max(0, -step) : width - max(0, step)]
-        b = target.heights[:, max(0, step) : width - max(0, -step)]
-        scores.append(float((a * b).sum()) - 1e-3 * abs(step))
-    return (int(np.argmax(scores)) - steps) * HEIGHT_BIN_M

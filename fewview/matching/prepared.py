@@ -8,7 +8,8 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from fewview.alignment import Embedded, draw, embed
+from fewview.alignment import Alignment, Embedded, draw, embed
+from fewview.matching.heights import height_profile
 from fewview.matching.manhattan import TopDown, top_down
 from fewview.types import Array, BoolArray, CompletedScan, FloatArray
 
@@ -26,6 +27,7 @@ class PreparedScan:
         sample_upright: (n,) which of these lie on upright faces.
         depth_min, depth_max: (h, w) smallest and largest valid depth in 3 x 3 pixels, 0 unknown.
         raster: its top-down rasters.
+        heights: see `height_profile`.
         above: its completed room drawn and embedded from above; None without a completed layout.
     """
 
@@ -36,6 +38,7 @@ class PreparedScan:
     depth_min: FloatArray
     depth_max: FloatArray
     raster: TopDown
+    heights: FloatArray
     above: Embedded | None
 
 
@@ -46,10 +49,24 @@ def prepare(scan: CompletedScan, sample: int = 1000) -> PreparedScan:
     upright = np.abs(scan.surface.normals[chosen] @ scan.levelling.level_R_scan[2]) < UPRIGHT_COS
     low, high = _depth_bounds(scan.depth)
     layout = scan.room.layout
-    above = None if layout is None else embed(draw(scan.room.ring, layout))
     return PreparedScan(
-        scan, cKDTree(points), points[chosen], upright, low, high, top_down(scan), above
+        scan=scan,
+        tree=cKDTree(points),
+        sample=points[chosen],
+        sample_upright=upright,
+        depth_min=low,
+        depth_max=high,
+        raster=top_down(scan),
+        heights=height_profile(scan),
+        above=None if layout is None else embed(draw(scan.room.ring, layout)),
     )
+
+
+def aligned(source: PreparedScan, target: PreparedScan) -> Alignment | None:
+    """The probability of the pair's levelled poses; None without two completed layouts."""
+    if source.above is None or target.above is None:
+        return None
+    return Alignment(source.above, target.above)
 
 
 def _depth_bounds(depth: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -89,7 +89,7 @@ def layout_picture(layout: CompletedLayout) -> Image:
 
     The camera is in the middle and looks along its arrow.
     """
-    classes = layout.probabilities.argmax(axis=0)
+    classes = layout.classes
     pale = np.rint(LAYOUT_COLOURS + PALE * (255.0 - LAYOUT_COLOURS)).astype(np.uint8)
     cells = np.where(layout.observed[..., None], LAYOUT_COLOURS[classes], pale[classes])
     picture = _enlarged(cells, CELL_PX)

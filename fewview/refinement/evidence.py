@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fewview.alignment import Alignment
 from fewview.geometry import se3
 from fewview.geometry.camera import project
 from fewview.matching.consistency import CandidateMatches
@@ -42,6 +43,7 @@ def gather(
     support: BoolArray,
     origins: Sequence[CandidateOrigin],
     scores: Array,
+    alignment: Alignment | None = None,
 ) -> list[Evidence]:
     """Evidence for K different poses of a pair.
 
@@ -50,6 +52,7 @@ def gather(
         poses: (K, 4, 4) target_T_source; covariance: (K, 6, 6) of each.
         matches: (m) candidate correspondences; support: (K, m) which agree with each pose.
         origins, scores: where each pose came from and its score there.
+        alignment: of the pair's completed layouts.
     """
     surface = surface_agreement(source, target, poses)
     visible = visible_agreement(source, target, poses)
@@ -77,7 +80,7 @@ def gather(
     columns["raster"] = columns["manhattan"] * scores / 100.0
     for name in ("overlap", "upright", "violation", "looseness", "colour", "facing"):
         columns[f"alone_{name}"] = geometry_alone * columns[name]
-    for name, values in room_evidence(source, target, poses).items():
+    for name, values in room_evidence(source, target, poses, alignment).items():
         columns |= {name: values, f"alone_{name}": geometry_alone * values}
     return [
         Evidence(

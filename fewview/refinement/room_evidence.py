@@ -15,7 +15,9 @@ TOLERANCE = 0.12
 """Relative error of a predicted depth that still counts as agreement."""
 
 
-def room_evidence(source: PreparedScan, target: PreparedScan, poses: Array) -> dict[str, Array]:
+def room_evidence(
+    source: PreparedScan, target: PreparedScan, poses: Array, alignment: Alignment | None
+) -> dict[str, Array]:
     """Named quantities (K,) of (K, 4, 4) poses target_T_source; none without completed rooms.
 
     ``aligner``: log probability that the aligner leaves around the pose, ``aligner_yaw``: to its
@@ -24,8 +26,7 @@ def room_evidence(source: PreparedScan, target: PreparedScan, poses: Array) -> d
     with the prediction's confidence; ``foreseen`` log of how many.
     """
     out: dict[str, Array] = {}
-    if source.above is not None and target.above is not None:
-        alignment = Alignment(source.above, target.above)
+    if alignment is not None:
         out["aligner"] = alignment.log_mass(poses)
         out["aligner_yaw"] = alignment.log_yaw(poses)
     first, second = source.scan.room.panorama, target.scan.room.panorama

@@ -59,11 +59,11 @@ class AlignerProblem(Problem):
         return mirrored(room)
 
     def batch(self, rooms: Sequence[DrawnRoom], rng: np.random.Generator) -> Batch:
-        """``drawing`` (B, CHANNELS, CELLS, CELLS); all ordered pairs of views of the same room:
-        ``source``, ``target`` (P,); ``yaw`` (P,) true quarter turns, ``shift`` (P, 2) metres,
-        ``apart`` (P,) whether they share hardly any surface, ``away`` (P,) the quarter turns that
-        make the cameras face away from each other. Pairs whose walls are not parallel or that are
-        out of reach are left out."""
+        """``drawing`` (B, CHANNELS, CELLS, CELLS) and its ``room`` (B,); all ordered pairs of views
+        of the same room, one room after the other: ``source``, ``target`` (P,); ``yaw`` (P,) true
+        quarter turns, ``shift`` (P, 2) metres, ``apart`` (P,) whether they share hardly any
+        surface, ``away`` (P,) the quarter turns that make the cameras face away from each other.
+        Pairs whose walls are not parallel or that are out of reach are left out."""
         drawn = DrawnRooms(rooms)
         views = range(len(drawn.drawings))
         pairs = [
@@ -89,7 +89,12 @@ class AlignerProblem(Problem):
             "away": np.rint(away / QUARTER).astype(np.int64) % YAWS,
         }
         kept = {name: torch.from_numpy(values[usable]) for name, values in columns.items()}
-        return {"drawing": torch.from_numpy(np.stack([d.channels for d in drawn.drawings])), **kept}
+        drawings = np.stack([drawing.channels for drawing in drawn.drawings])
+        return {
+            "drawing": torch.from_numpy(drawings),
+            "room": torch.from_numpy(drawn.room),
+            **kept,
+        }
 
     def losses(self, network: nn.Module, batch: Batch) -> dict[str, Tensor]:
         """The cross-entropy of the true pose."""
@@ -131,7 +136,14 @@ class AlignerProblem(Problem):
 def _logits(network: nn.Module, batch: Batch) -> Tensor:
     aligner = cast(AlignerNetwork, network)
     spectra = aligner(batch["drawing"])
-    return aligner.logits(spectra.source[batch["source"]], spectra.target[batch["target"]])
+    found = []
+    for room in range(int(batch["room"].max()) + 1):
+        views = torch.nonzero(batch["room"] == room)[:, 0]
+        maps = aligner.logits(spectra.source[views], spectra.target[views])
+        pairs = batch["room"][batch["source"]] == room
+        source, target = (batch[side][pairs] - views[0] for side in ("source", "target"))
+        found.append(maps[source, target])
+    return torch.cat(found)
 
 
 def _peaks(logits: Tensor) -> tuple[Tensor, Tensor]:

@@ -11,19 +11,18 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
-import torch
 
-from fewview import alignment, weights
-from fewview.alignment import Drawing, draw
-from fewview.completion import layout
-from fewview.completion.layout.complete import NAME, floor_plane, observed_cells
+from fewview import weights
+from fewview.alignment import Drawing, draw, drawing
+from fewview.completion import layout as layout_completion
+from fewview.completion.layout.complete import NAME, completed_layouts
 from fewview.completion.layout.network import LayoutNetwork, LayoutNetworkConfig
 from fewview.completion.layout.points import POINTS
 from fewview.completion.panorama.ring import ring_points
 from fewview.geometry import se3
 from fewview.synthetic import split_seed
 from fewview.training.point_batches import room_points
-from fewview.types import Array, CompletedLayout, FloatArray, IntArray, RingScan
+from fewview.types import Array, FloatArray, IntArray, RingScan
 
 if TYPE_CHECKING:
     from fewview.synthetic import Split
@@ -112,24 +111,14 @@ def drawn(
     """Complete and draw every view of a room; ``rng`` chooses points and tilts."""
     scans = room_points([room], POINTS, tilt_deg, rng)
     network = _layout_network(weights_folder)
-    with torch.inference_mode():
-        output = network(scans.batch)
-        chance = network.probabilities(output.logits).numpy()
-        observed = observed_cells(output).numpy()
     grid_T_level = se3.pose(scans.tilts @ scans.turns, np.zeros((len(scans.turns), 3)))
+    layouts = completed_layouts(network, scans.batch, list(grid_T_level))
     drawings, seen = [], []
-    for i, (colour, depth) in enumerate(zip(room.colour, room.measured, strict=True)):
-        completed = CompletedLayout(
-            level_T_scan=grid_T_level[i],
-            probabilities=chance[i],
-            descriptors=np.zeros((0, 0, 0), np.float32),
-            confidence=chance[i].max(axis=0),
-            observed=observed[i],
-            floor=floor_plane(output.floor[i].numpy()),
-        )
-        drawings.append(draw(RingScan(colour, depth, np.eye(4)), completed))
+    views = zip(room.colour, room.measured, layouts, room.level_T_world, strict=True)
+    for colour, depth, layout, level_T_world in views:
+        drawings.append(draw(RingScan(colour, depth, np.eye(4)), layout))
         points = ring_points(depth)[depth > 0].astype(np.float64)
-        seen.append(_voxels(se3.transform(se3.inverse(room.level_T_world[i]), points)))
+        seen.append(_voxels(se3.transform(se3.inverse(level_T_world), points)))
     return DrawnRoom(
         channels=np.stack([drawing.channels for drawing in drawings]),
         grid_T_level=grid_T_level,
@@ -154,9 +143,9 @@ def drawing_fingerprint(weights_folder: str, tilt_deg: float) -> str:
     """Of what makes drawings of rooms: the layout network's weights, the tilt and the code."""
     makes = hashlib.sha256(str(tilt_deg).encode())
     makes.update((_folder(weights_folder) / f"{NAME}.safetensors").read_bytes())
-    for package in (layout, alignment):
-        for file in sorted(Path(str(package.__file__)).parent.glob("*.py")):
-            makes.update(file.read_bytes())
+    completes = sorted(Path(str(layout_completion.__file__)).parent.glob("*.py"))
+    for file in (*completes, Path(drawing.__file__)):
+        makes.update(file.read_bytes())
     return makes.hexdigest()[:12]
 
 

@@ -124,7 +124,7 @@ class RoomBatches(Dataset[Batch]):
 
 def some_views(room: Room, count: int, rng: np.random.Generator) -> Room:
     """A room with ``count`` of its cameras."""
-    chosen = rng.permutation(len(room.depth))[:count]
+    chosen = rng.permutation(len(room.level_T_world))[:count]
     return SimpleNamespace(**{name: array[chosen] for name, array in vars(room).items()})
 
 

@@ -55,18 +55,25 @@ class CompletedLayout:
     Attributes:
         level_T_scan: (4, 4) into the grid's frame: camera at the origin, z up, +x towards row 0.
         probabilities: (5, 64, 64) float32 of the classes in `grid.CLASSES`.
+        classes: (64, 64) uint8 the chosen class; see `LayoutNetwork.classes`.
         descriptors: (64, 64, 32) float32 unit.
-        confidence: (64, 64) float32, probability that the most probable class is right.
+        confidence: (64, 64) float32, probability that the chosen class is right.
         observed: (64, 64) bool, cells with a point or that the camera looked through.
         floor: (4,) normal n (upwards) and offset d of the floor n . x = d, same frame.
     """
 
     level_T_scan: Array
     probabilities: FloatArray
+    classes: NDArray[np.uint8]
     descriptors: FloatArray
     confidence: FloatArray
     observed: BoolArray
     floor: Array
+
+    @property
+    def floor_z(self) -> float:
+        """Height of the floor under the camera, which is at 0."""
+        return float(self.floor[3] / self.floor[2])
 
 
 @dataclass(frozen=True)

@@ -74,6 +74,7 @@ def _true_layout(view: View) -> CompletedLayout:
     return CompletedLayout(
         truth.grid_T_world @ np.linalg.inv(view.level_T_world) @ view.ring.level_T_scan,
         classes.transpose(2, 0, 1),
+        truth.ground,
         np.zeros((*truth.ground.shape, 1), np.float32),
         truth.ground_known.astype(np.float32),
         seen_cells(view),

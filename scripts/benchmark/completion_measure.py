@@ -84,7 +84,7 @@ def _grounds(view: View, layout: CompletedLayout, usual: Typical, box: Array) ->
     truth, seen = view.truth, seen_cells(view)
     told = seen & truth.ground_known
     answers = {
-        COMPLETED: layout.probabilities.argmax(axis=0).astype(np.uint8),
+        COMPLETED: layout.classes,
         COPY: np.where(told, truth.ground, np.uint8(UNKNOWN)),
         NEAREST: usual.nearest(truth.ground, told),
         TYPICAL: usual.ground,

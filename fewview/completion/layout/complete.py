@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -47,22 +48,40 @@ def complete_layout(
     network = shipped_network() if network is None else network
     device = network.class_weights.device
     batch = PointBatch(*(t.to(device) for t in PointBatch.of([scan])))
+    wall_T_level = se3.pose(scan.wall_R_level.astype(np.float64), np.zeros(3))
+    (layout,) = completed_layouts(network, batch, [wall_T_level @ ring.level_T_scan])
+    return layout
+
+
+def completed_layouts(
+    network: LayoutNetwork, batch: PointBatch, level_T_scan: Sequence[Array]
+) -> list[CompletedLayout]:
+    """The layouts of several scans' points, each in a grid frame (4, 4)."""
     with torch.inference_mode():
         output = network(batch)
-        probabilities = network.probabilities(output.logits)[0]
-        observed = observed_cells(output)[0]
-    wall_T_level = se3.pose(scan.wall_R_level.astype(np.float64), np.zeros(3))
-    return CompletedLayout(
-        wall_T_level @ ring.level_T_scan,
-        probabilities.cpu().numpy(),
-        output.descriptors[0].permute(1, 2, 0).cpu().numpy(),
-        probabilities.amax(dim=0).cpu().numpy(),
-        observed.cpu().numpy(),
-        floor_plane(output.floor[0].cpu().numpy()),
-    )
+        probabilities = network.probabilities(output.logits)
+        classes = network.classes(output.logits)
+        confidence = probabilities.gather(1, classes[:, None])[:, 0]
+        columns = {
+            "probabilities": probabilities,
+            "classes": classes.to(torch.uint8),
+            "descriptors": output.descriptors.permute(0, 2, 3, 1),
+            "confidence": confidence,
+            "observed": observed_cells(output),
+        }
+    arrays = {name: column.cpu().numpy() for name, column in columns.items()}
+    floors = output.floor.cpu().numpy()
+    return [
+        CompletedLayout(
+            level_T_scan=frame,
+            floor=_plane(floors[i]),
+            **{name: array[i] for name, array in arrays.items()},
+        )
+        for i, frame in enumerate(level_T_scan)
+    ]
 
 
-def floor_plane(floor: FloatArray) -> Array:
+def _plane(floor: FloatArray) -> Array:
     """(4,) upward unit normal and offset of the network's floor (3,) z = h + a x + b y."""
     h, a, b = floor.astype(np.float64)
     plane = np.array([-a, -b, 1.0, h])

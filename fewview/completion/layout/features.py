@@ -59,7 +59,7 @@ class Layout:
 def chosen_cells(layout: CompletedLayout) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns of the surest cells that are a wall, a door or furniture; of each two
     neighbours in a row one, as on a chessboard."""
-    things = np.isin(layout.probabilities.argmax(axis=0), THINGS)
+    things = np.isin(layout.classes, THINGS)
     things &= np.indices(things.shape).sum(axis=0) % 2 == 0
     score = np.where(things, layout.confidence, 0.0)
     best = np.argsort(-score, axis=None, kind="stable")[: min(MAX_FEATURES, int(things.sum()))]

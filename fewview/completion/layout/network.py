@@ -91,6 +91,11 @@ class LayoutNetwork(nn.Module):
             logits, nn.functional.normalize(descriptors, dim=1), floor, free, occupied
         )
 
+    def classes(self, logits: Tensor) -> Tensor:
+        """(B, CELLS, CELLS) classes chosen under the weights of training, by which a thin wall
+        whose place is not sure to the cell is still a wall and not the room on either side."""
+        return logits.argmax(dim=1)
+
     def probabilities(self, logits: Tensor) -> Tensor:
         """Class probabilities without the weights that the classes had in training.
 
