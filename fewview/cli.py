@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import sys
 from collections.abc import Sequence
@@ -304,8 +305,18 @@ def _train(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         print(f"fewview: stopped; --resume goes on from {out}", file=sys.stderr)
         return INTERRUPTED
+    finally:
+        _record_curves(out / loop.CURVES)
     print(f"weights: {best}")
     return ALL_PLACED
+
+
+def _record_curves(curves: Path) -> None:
+    """Beside the JSON as a recording, where Rerun is installed: training does without it."""
+    if curves.is_file() and importlib.util.find_spec("rerun") is not None:
+        from fewview.recording import record_curves
+
+        record_curves(json.loads(curves.read_text()), curves.with_suffix(".rrd"))
 
 
 def _check_target(path: Path, suffix: str | None = None) -> None:
