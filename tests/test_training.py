@@ -103,11 +103,13 @@ def test_a_run_begins_with_the_weights_of_another(finished: Path, tmp_path: Path
         SHORT, init=str(finished), store=str(tmp_path / "rooms"), learning_rate=0.0, steps=2
     )
     weights_after = trained(config, tmp_path / "out")
-    begun, _ = weights.load("panorama", finished)
+    begun, first = weights.load("panorama", finished)
     assert all(torch.equal(begun[name], weights_after[name]) for name in begun)
     _, card = weights.load("panorama", tmp_path / "out")
     assert card["config"]["init"] == finished.name
     assert card["config"]["store"] == "rooms"
+    assert card["began_with"]["sha256"] == first["sha256"]
+    assert card["began_with"]["steps"] == first["steps"]
 
 
 def test_the_loss_falls() -> None:

@@ -16,6 +16,8 @@ from fewview.training.settings import TrainConfig
 
 FOLDERS = frozenset({"store", "library", "init", "layout", "weights"})
 """Settings that are folders."""
+HISTORY = ("data", "seed", "steps", "hours", "sha256", "began_with")
+"""What a card keeps of the one before it."""
 
 
 def make_card(
@@ -25,10 +27,12 @@ def make_card(
     validation: Mapping[str, float],
     device: torch.device,
     threads: int,
+    before: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """The card of weights as they are after ``step`` steps and ``seconds`` of training.
 
     Args:
+        before: card of the weights that the run began with, None for random ones.
         validation: figures on the validation rooms; those that are no numbers are left out.
         device: where they were trained.
         threads: of PyTorch on the CPU.
@@ -49,6 +53,7 @@ def make_card(
         "validation": {k: round(v, 5) for k, v in validation.items() if math.isfinite(v)},
         "config": _portable(dataclasses.asdict(config)),
         "torch": torch.__version__,
+        **({"began_with": {k: before[k] for k in HISTORY if k in before}} if before else {}),
     }
 
 

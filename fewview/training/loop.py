@@ -102,8 +102,9 @@ class _Run:
         self.problem, self.config, self.out, self.device = config.settings, config, out, device
         self.source, self.report = source, report
         self.network = self.problem.network()
+        self.before = None
         if config.init:
-            state, _ = weights.load(self.problem.name, Path(config.init))
+            state, self.before = weights.load(self.problem.name, Path(config.init))
             self.network.load_state_dict(state)
         self.network.to(device)
         self.optimiser = torch.optim.AdamW(
@@ -205,7 +206,9 @@ class _Run:
 
     def _keep(self, figures: dict[str, float]) -> None:
         state, threads = self.state, torch.get_num_threads()
-        card = make_card(self.config, state.step, state.seconds, figures, self.device, threads)
+        card = make_card(
+            self.config, state.step, state.seconds, figures, self.device, threads, self.before
+        )
         weights.save(self.problem.name, self.out, self.network.state_dict(), card)
 
     def _count_time(self) -> None:
