@@ -4,7 +4,8 @@
 
 Validation scenes are generated rooms of the validation split and folders given with --scene;
 folders given with --check are never fitted to, they only show how the result carries over. With
---observed no network completes the scans, and the model for scans as seen is fitted.
+--observed no network completes the scans, and the model for scans as seen is fitted. With --without
+NAME ... evidence is left out, to see what it is worth; write that one elsewhere with --out.
 """
 
 from __future__ import annotations
@@ -71,14 +72,12 @@ COMPLETED = (
     "alignment",
     "aligner",
     "aligner_yaw",
-    "verifier",
     "met",
     "inside",
     "through",
     "foreseen",
     "alone_aligner",
     "alone_aligner_yaw",
-    "alone_verifier",
     "alone_met",
     "alone_inside",
     "alone_through",
@@ -103,6 +102,7 @@ def main() -> None:
     parser.add_argument("--check", type=Path, nargs="*", default=[])
     parser.add_argument("--cache", type=Path, default=Path("results/probability"))
     parser.add_argument("--observed", action="store_true", help="for scans as seen")
+    parser.add_argument("--without", nargs="*", default=[], help="evidence to leave out")
     parser.add_argument("--out", type=Path, default=weights.FOLDER)
     options = parser.parse_args()
     kind = "observed" if options.observed else "completed"
@@ -113,7 +113,9 @@ def main() -> None:
     fit = [p for r in rooms for p in cached(cache, r, lambda r=r: room(r, options.views, config))]
     fit += [p for f in options.scene for p in cached(cache, f.name, lambda f=f: folder(f, config))]
     check = {f.name: cached(cache, f.name, lambda f=f: folder(f, config)) for f in options.check}
-    model = fitted(fit, SEEN if options.observed else SEEN + COMPLETED)
+    names = SEEN if options.observed else SEEN + COMPLETED
+    left_out = {*options.without, *(f"alone_{name}" for name in options.without)}
+    model = fitted(fit, tuple(name for name in names if name not in left_out))
     report = {"fit": summary(model, fit)} | {k: summary(model, v) for k, v in check.items()}
     print(json.dumps(report, indent=1))
     if check:
@@ -209,13 +211,15 @@ def fitted(pairs: list[Pair], names: tuple[str, ...]) -> ProbabilityModel:
 
 def summary(model: ProbabilityModel, pairs: list[Pair]) -> dict[str, float]:
     """How the model does on pairs: calibration of all candidates, and the best one's hits."""
-    probability, outcome, hits, sure, wrong = [], [], 0, 0, 0
+    probability, outcome, hits, sure, wrong, surprise = [], [], 0, 0, 0, 0.0
     for pair in pairs:
         if not pair.candidates:
             continue
         p = model.probabilities(pair.candidates)
         probability += p.tolist()
         outcome += [k == pair.right for k in range(len(p))]
+        chance = 1.0 - p.sum() if pair.right is None else p[pair.right]
+        surprise -= float(np.log(max(chance, 1e-9)))
         best = int(p.argmax())
         hits += best == pair.right
         sure += p[best] > 0.5
@@ -226,6 +230,7 @@ def summary(model: ProbabilityModel, pairs: list[Pair]) -> dict[str, float]:
         "best_is_right": int(hits),
         "above_half": int(sure),
         "above_half_and_wrong": int(wrong),
+        "log_loss": round(surprise / len(pairs), 4),
         "ece": round(expected_calibration_error(np.array(probability), np.array(outcome)), 4),
     }
 

@@ -138,11 +138,10 @@ def test_a_run_learns_from_rooms_drawn_once(
     assert weights.load("aligner", tmp_path / "run")[1]["steps"] == 4
 
 
-def test_some_pairs_of_the_verifier_have_no_right_candidate(folder: str) -> None:
-    problem = VerifierProblem(VerifierNetworkConfig(width=16), folder, pairs=6, hidden=0.5)
+def test_the_verifier_learns_from_the_aligners_candidates(folder: str) -> None:
+    problem = VerifierProblem(VerifierNetworkConfig(width=16), folder, pairs=6, candidates=4)
     batch = batch_of(problem)
-    assert batch["right"][:, -2].all()
-    assert not batch["right"][:, -1].any()
-    asked = batch["asked"] & batch["right"]
-    assert asked.any(dim=1).any()
-    assert not asked.any(dim=1).all()
+    assert batch["motion"].shape == (12, 4, 3)
+    assert (batch["score"].diff(dim=1) <= 1e-6).all()
+    turn = batch["motion"][..., 0] - batch["yaw"][:, None]
+    assert (turn.cos()[batch["right"]] > 0.9).all()

@@ -10,7 +10,6 @@ from fewview.completion.panorama.ring import ring_pixels
 from fewview.geometry import se3
 from fewview.matching.prepared import PreparedScan
 from fewview.types import Array, CompletedPanorama
-from fewview.verification import plausibility
 
 TOLERANCE = 0.12
 """Relative error of a predicted depth that still counts as agreement."""
@@ -22,16 +21,14 @@ def room_evidence(
     """Named quantities (K,) of (K, 4, 4) poses target_T_source; none without completed rooms.
 
     ``aligner``: log probability that the aligner leaves around the pose, ``aligner_yaw``: to its
-    yaw, ``verifier``: logit that both drawn together are one room. Of the points that one scan saw
-    and that fall where the other predicts: ``met`` share at the predicted depth, ``inside`` share
-    in front of it, ``through`` share behind it, all weighted with the prediction's confidence;
-    ``foreseen`` log of how many.
+    yaw. Of the points that one scan saw and that fall where the other predicts: ``met`` share at
+    the predicted depth, ``inside`` share in front of it, ``through`` share behind it, all weighted
+    with the prediction's confidence; ``foreseen`` log of how many.
     """
     out: dict[str, Array] = {}
     if alignment is not None:
         out["aligner"] = alignment.log_mass(poses)
         out["aligner_yaw"] = alignment.log_yaw(poses)
-        out["verifier"] = plausibility(alignment.source, alignment.target, poses)
     first, second = source.scan.room.panorama, target.scan.room.panorama
     if first is not None and second is not None:
         counts = _foreseen(second, se3.transform(poses, source.sample))

@@ -1,7 +1,7 @@
 """The verifier as a training problem: candidates of pairs of scans, drawn together, right or wrong.
 
-The wrong ones are the aligner's own, in rooms that neither it nor the layout network learnt from,
-and poses close to the true one.
+They are the aligner's own, in rooms that the layout network did not learn from. A true pose among
+them that the aligner did not find would teach the network to distrust the aligner.
 """
 
 from __future__ import annotations
@@ -30,15 +30,13 @@ from fewview.training.drawn_rooms import (
     mirrored,
 )
 from fewview.training.problem import Batch, Problem
-from fewview.types import Array, BoolArray, FloatArray
+from fewview.types import Array, BoolArray
 from fewview.verification.network import VerifierNetwork, VerifierNetworkConfig, together
 
 if TYPE_CHECKING:
     from fewview.training.rooms import RoomSource
 
 RIGHT_RAD, RIGHT_M = float(np.radians(15.0)), 0.3
-JITTER_RAD, JITTER_M = float(np.radians(3.0)), 0.1
-MISS_M = (0.4, 1.5)
 
 
 @dataclass(frozen=True)
@@ -54,9 +52,7 @@ class VerifierProblem(Problem):
     pairs: int = 16
     """Pairs of views in each room."""
     candidates: int = 6
-    """Proposals looked at per pair, best score first; two more are made from the true pose."""
-    hidden: float = 0.3
-    """Share of training pairs whose right candidates are left out, so that none is right."""
+    """Proposals looked at per pair."""
     name: str = "verifier"
     """Of the weights."""
 
@@ -74,9 +70,9 @@ class VerifierProblem(Problem):
 
     def batch(self, rooms: Sequence[DrawnRoom], rng: np.random.Generator) -> Batch:
         """``drawing`` (B, CHANNELS, CELLS, CELLS); ``source``, ``target`` (P,) which of them;
-        ``motion`` (P, K, 3), ``right``, ``asked`` (P, K), the candidates, best score first and the
-        true pose with a near miss last; ``apart`` (P,) whether they share hardly any surface;
-        ``turn`` () quarter turns in which they are drawn."""
+        ``motion`` (P, K, 3), ``score``, ``right`` (P, K), the candidates and what the aligner says
+        of them, best first; ``yaw`` (P,) the true one; ``apart`` (P,) whether they share hardly
+        any surface; ``turn`` () quarter turns in which they are drawn."""
         drawn = DrawnRooms(rooms)
         aligner = _aligner(self.weights)
         scans = [embed(drawing, aligner) for drawing in drawn.drawings]
@@ -86,16 +82,10 @@ class VerifierProblem(Problem):
             pairs = np.array(list(itertools.permutations(views, 2)))
             for a, b in pairs[rng.permutation(len(pairs))[: self.pairs]]:
                 true = drawn.target_T_source(a, b)
-                motion, right = self._candidates(Alignment(scans[a], scans[b], aligner), true, rng)
-                asked = np.ones(len(right), bool)
-                if rng.random() < self.hidden:
-                    asked &= ~right
                 row = {
                     "source": a,
                     "target": b,
-                    "motion": motion,
-                    "right": right,
-                    "asked": asked,
+                    **self._candidates(Alignment(scans[a], scans[b], aligner), true),
                     "apart": drawn.apart(a, b),
                 }
                 for name, value in row.items():
@@ -111,45 +101,42 @@ class VerifierProblem(Problem):
         turns = int(batch["turn"]) if network.training else 0
         logits = _logits(network, batch, turns)
         every = F.pad(logits, (1, 0), value=0.0)
-        asked = F.pad(batch["asked"], (1, 0), value=True)
-        right = asked & F.pad(batch["right"], (1, 0), value=False)
+        right = F.pad(batch["right"], (1, 0), value=False)
         right[:, 0] = ~right.any(dim=1)
-        chance = every.masked_fill(~asked, -torch.inf).logsumexp(dim=1)
-        return {"choice": (chance - every.masked_fill(~right, -torch.inf).logsumexp(dim=1)).mean()}
+        of_right = every.masked_fill(~right, -torch.inf).logsumexp(dim=1)
+        return {"choice": (every.logsumexp(dim=1) - of_right).mean()}
 
     def metrics(self, network: nn.Module, batch: Batch) -> dict[str, float]:
         """Share of pairs whose first candidate is right by score and by the network, of those
         that have a right one; and mean error of the yaw; for pairs apart and others."""
-        logits = _logits(network, batch, 0)[:, : self.candidates]
-        right, motion = batch["right"][:, : self.candidates], batch["motion"]
-        true_yaw = motion[:, -2, 0]
+        logits = _logits(network, batch, 0)
+        right, motion = batch["right"], batch["motion"]
         out: dict[str, float] = {}
         chosen = {"score": torch.zeros_like(logits[:, 0]).long(), "verified": logits.argmax(dim=1)}
         for part, where in (("apart", batch["apart"]), ("sharing", ~batch["apart"])):
             out[f"{part}_proposed"] = _mean(right.any(dim=1), where)
             for name, pick in chosen.items():
                 hit = right.gather(1, pick[:, None])[:, 0]
-                yaw = motion[:, :, 0].gather(1, pick[:, None])[:, 0] - true_yaw
+                yaw = motion[:, :, 0].gather(1, pick[:, None])[:, 0] - batch["yaw"]
                 error = torch.rad2deg(torch.atan2(yaw.sin(), yaw.cos()).abs())
                 out[f"{part}_{name}"] = _mean(hit, where)
                 out[f"{part}_{name}_yaw_deg"] = _mean(error, where)
         return out
 
-    def _candidates(
-        self, alignment: Alignment, true: Array, rng: np.random.Generator
-    ) -> tuple[FloatArray, BoolArray]:
-        """Motions (K, 3) and which are right."""
-        proposed = alignment.best(self.candidates).target_T_source
-        poses = np.concatenate([proposed, true[None]])
-        at = planar_motion(alignment.source, alignment.target, poses)
-        aside, angle = rng.uniform(*MISS_M), rng.uniform(0.0, 2.0 * np.pi)
-        near = at[-1] + rng.normal(0.0, 1.0, 3) * [JITTER_RAD, JITTER_M, JITTER_M]
-        miss = near + [0.0, aside * np.cos(angle), aside * np.sin(angle)]
-        motion: Array = np.stack([*at[:-1], near, miss])
-        yaw = motion[:, 0] - at[-1, 0]
+    def _candidates(self, alignment: Alignment, true: Array) -> dict[str, Array | BoolArray]:
+        """``motion``, ``score`` and ``right`` of the aligner's best, and the true ``yaw``."""
+        proposed = alignment.best(self.candidates)
+        poses = np.concatenate([proposed.target_T_source, true[None]])
+        motion = planar_motion(alignment.source, alignment.target, poses)
+        yaw = motion[:-1, 0] - motion[-1, 0]
         turn = np.abs(np.arctan2(np.sin(yaw), np.cos(yaw)))
-        shift = np.linalg.norm(motion[:, 1:] - at[-1, 1:], axis=1)
-        return motion.astype(np.float32), (turn < RIGHT_RAD) & (shift < RIGHT_M)
+        shift = np.linalg.norm(motion[:-1, 1:] - motion[-1, 1:], axis=1)
+        return {
+            "motion": motion[:-1],
+            "score": proposed.log_mass.astype(np.float32),
+            "right": (turn < RIGHT_RAD) & (shift < RIGHT_M),
+            "yaw": motion[-1, 0],
+        }
 
 
 @cache
@@ -158,7 +145,7 @@ def _aligner(folder: str) -> AlignerNetwork:
 
 
 def _logits(network: nn.Module, batch: Batch, turns: int) -> Tensor:
-    """(P, K) of all candidates."""
+    """(P, K) of all candidates: what the network adds to the aligner's scores."""
     pairs, count = batch["right"].shape
     source, target = (
         batch["drawing"][batch[side]].repeat_interleave(count, dim=0)
@@ -166,7 +153,7 @@ def _logits(network: nn.Module, batch: Batch, turns: int) -> Tensor:
     )
     drawn = together(source, target, batch["motion"].reshape(-1, 3))
     logits: Tensor = network(torch.rot90(drawn, turns, (2, 3)))
-    return logits.reshape(pairs, count)
+    return logits.reshape(pairs, count) + batch["score"]
 
 
 def _mean(values: Tensor, where: Tensor) -> float:
