@@ -24,6 +24,7 @@ from fewview.verification import VerifierNetworkConfig
 
 LAYOUT = LayoutNetworkConfig(width=8, point_features=8)
 ALIGNER = AlignerNetworkConfig(width=8, channels=4)
+VERIFIER = VerifierNetworkConfig(width=16)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +57,7 @@ def test_what_views_share(folder: str) -> None:
 
 
 def test_a_mirrored_drawing_is_that_of_the_mirrored_room(folder: str) -> None:
-    problem = AlignerProblem(ALIGNER, folder)
+    problem = AlignerProblem(size=ALIGNER, weights=folder)
     room = drawn(box_room(0, views=2), folder, 0.0, np.random.default_rng(0))
     batches = [problem.batch([r], np.random.default_rng(0)) for r in (room, mirrored(room))]
     plain, turned = batches
@@ -76,7 +77,7 @@ def test_other_weights_make_other_drawings(folder: str, tmp_path: Path) -> None:
 
 
 def test_the_aligner_is_taught_the_true_pose(folder: str) -> None:
-    batch = batch_of(AlignerProblem(ALIGNER, folder))
+    batch = batch_of(AlignerProblem(size=ALIGNER, weights=folder))
     there = {
         (int(a), int(b)): i
         for i, (a, b) in enumerate(zip(batch["source"], batch["target"], strict=True))
@@ -92,9 +93,11 @@ def test_the_aligner_is_taught_the_true_pose(folder: str) -> None:
 @pytest.mark.parametrize("name", ["aligner", "verifier"])
 def test_losses_fall_and_figures_are_shares_and_errors(folder: str, name: str) -> None:
     torch.manual_seed(0)
-    problem: Problem = AlignerProblem(ALIGNER, folder)
+    problem: Problem = AlignerProblem(size=ALIGNER, weights=folder)
     if name == "verifier":
-        problem = VerifierProblem(VerifierNetworkConfig(width=16), folder, pairs=4, candidates=3)
+        problem = VerifierProblem(
+            size=VerifierNetworkConfig(width=16), weights=folder, pairs=4, candidates=3
+        )
     network, batch = problem.network(), batch_of(problem)
     optimiser = torch.optim.Adam(network.parameters(), 3e-3)
     values = []
@@ -124,7 +127,7 @@ def test_a_run_learns_from_rooms_drawn_once(
     monkeypatch.setattr(rooms, "generated", generated)
     config = TrainConfig(
         "aligner",
-        AlignerProblem(ALIGNER, folder),
+        AlignerProblem(size=ALIGNER, weights=folder),
         steps=4,
         rooms=1,
         views=2,
@@ -139,7 +142,9 @@ def test_a_run_learns_from_rooms_drawn_once(
 
 
 def test_the_verifier_learns_from_the_aligners_candidates(folder: str) -> None:
-    problem = VerifierProblem(VerifierNetworkConfig(width=16), folder, pairs=6, candidates=4)
+    problem = VerifierProblem(
+        size=VerifierNetworkConfig(width=16), weights=folder, pairs=6, candidates=4
+    )
     batch = batch_of(problem)
     assert batch["motion"].shape == (12, 4, 3)
     assert (batch["score"].diff(dim=1) <= 1e-6).all()

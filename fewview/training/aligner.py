@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 import torch
@@ -14,31 +14,18 @@ from torch import Tensor, nn
 from fewview.alignment import AlignerNetwork, AlignerNetworkConfig, planar_motion
 from fewview.alignment.align import MAX_YAW, QUARTER
 from fewview.alignment.network import GRID, STEP_M, YAWS, shifts
-from fewview.training.drawn_rooms import (
-    Draughtsman,
-    DrawnRoom,
-    DrawnRooms,
-    drawing_fingerprint,
-    mirrored,
-)
-from fewview.training.problem import Batch, Problem
-
-if TYPE_CHECKING:
-    from fewview.training.rooms import RoomSource
+from fewview.training.drawn_rooms import DrawnProblem, DrawnRoom, DrawnRooms
+from fewview.training.problem import Batch
 
 TOP = 5
 
 
 @dataclass(frozen=True)
-class AlignerProblem(Problem):
+class AlignerProblem(DrawnProblem):
     """Find the yaw and the shift between all views of a room."""
 
     size: AlignerNetworkConfig = field(default_factory=AlignerNetworkConfig)
     """Of the network."""
-    layout: str = ""
-    """Folder of the layout network's weights, empty for the shipped ones."""
-    tilt_deg: float = 1.0
-    """Standard deviation of the error of the level frame about each horizontal axis."""
     blur_m: float = 0.15
     """Standard deviation of the shift that is taught as true."""
     apart: float = 2.0
@@ -48,15 +35,6 @@ class AlignerProblem(Problem):
 
     def network(self) -> nn.Module:
         return AlignerNetwork(self.size)
-
-    def prepared(self, rooms: RoomSource) -> RoomSource:
-        return Draughtsman(rooms, self.layout, self.tilt_deg)
-
-    def preparation(self) -> str:
-        return drawing_fingerprint(self.layout, self.tilt_deg)
-
-    def mirrored(self, room: DrawnRoom) -> DrawnRoom:
-        return mirrored(room)
 
     def batch(self, rooms: Sequence[DrawnRoom], rng: np.random.Generator) -> Batch:
         """``drawing`` (B, CHANNELS, CELLS, CELLS) and its ``room`` (B,); all ordered pairs of views

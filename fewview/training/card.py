@@ -14,7 +14,7 @@ import torch
 from fewview.synthetic import read_library
 from fewview.training.settings import TrainConfig
 
-FOLDERS = frozenset({"store", "library", "init", "layout", "weights"})
+FOLDERS = frozenset({"store", "library", "init", "weights"})
 """Settings that are folders."""
 HISTORY = ("data", "seed", "steps", "hours", "sha256", "began_with")
 """What a card keeps of the one before it."""

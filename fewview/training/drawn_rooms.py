@@ -22,6 +22,7 @@ from fewview.completion.panorama.ring import ring_points
 from fewview.geometry import se3
 from fewview.synthetic import split_seed
 from fewview.training.point_batches import room_points
+from fewview.training.problem import Problem
 from fewview.types import Array, FloatArray, IntArray, RingScan
 
 if TYPE_CHECKING:
@@ -78,6 +79,26 @@ class DrawnRooms:
     def target_T_source(self, a: int, b: int) -> Array:
         """(4, 4) from the level frame of view ``a`` to that of view ``b``."""
         return np.asarray(self.level_T_world[b] @ se3.inverse(self.level_T_world[a]))
+
+
+@dataclass(frozen=True)
+class DrawnProblem(Problem):
+    """A problem that learns from drawn rooms."""
+
+    weights: str = ""
+    """Folder of the weights that it builds on, the layout network's first of all; empty for the
+    shipped ones."""
+    tilt_deg: float = 1.0
+    """Standard deviation of the error of the level frame about each horizontal axis."""
+
+    def prepared(self, rooms: RoomSource) -> RoomSource:
+        return Draughtsman(rooms, self.weights, self.tilt_deg)
+
+    def preparation(self) -> str:
+        return drawing_fingerprint(self.weights, self.tilt_deg)
+
+    def mirrored(self, room: DrawnRoom) -> DrawnRoom:
+        return mirrored(room)
 
 
 @dataclass(frozen=True)

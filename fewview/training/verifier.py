@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -22,33 +21,20 @@ from fewview import weights
 from fewview.alignment import AlignerNetwork, Alignment, embed, planar_motion
 from fewview.alignment.align import NAME as ALIGNER
 from fewview.alignment.align import aligner_of
-from fewview.training.drawn_rooms import (
-    Draughtsman,
-    DrawnRoom,
-    DrawnRooms,
-    drawing_fingerprint,
-    mirrored,
-)
-from fewview.training.problem import Batch, Problem
+from fewview.training.drawn_rooms import DrawnProblem, DrawnRoom, DrawnRooms
+from fewview.training.problem import Batch
 from fewview.types import Array, BoolArray
 from fewview.verification.network import VerifierNetwork, VerifierNetworkConfig, together
-
-if TYPE_CHECKING:
-    from fewview.training.rooms import RoomSource
 
 RIGHT_RAD, RIGHT_M = float(np.radians(15.0)), 0.3
 
 
 @dataclass(frozen=True)
-class VerifierProblem(Problem):
+class VerifierProblem(DrawnProblem):
     """Tell the right pose of two scans from those that also look like a room."""
 
     size: VerifierNetworkConfig = field(default_factory=VerifierNetworkConfig)
     """Of the network."""
-    weights: str = ""
-    """Folder of the layout network's and the aligner's weights, empty for the shipped ones."""
-    tilt_deg: float = 1.0
-    """Standard deviation of the error of the level frame about each horizontal axis."""
     pairs: int = 16
     """Pairs of views in each room."""
     candidates: int = 6
@@ -58,15 +44,6 @@ class VerifierProblem(Problem):
 
     def network(self) -> nn.Module:
         return VerifierNetwork(self.size)
-
-    def prepared(self, rooms: RoomSource) -> RoomSource:
-        return Draughtsman(rooms, self.weights, self.tilt_deg)
-
-    def preparation(self) -> str:
-        return drawing_fingerprint(self.weights, self.tilt_deg)
-
-    def mirrored(self, room: DrawnRoom) -> DrawnRoom:
-        return mirrored(room)
 
     def batch(self, rooms: Sequence[DrawnRoom], rng: np.random.Generator) -> Batch:
         """``drawing`` (B, CHANNELS, CELLS, CELLS); ``source``, ``target`` (P,) which of them;

@@ -1,4 +1,4 @@
-"""The verifier: one number for two scans drawn together."""
+"""The verifier: one number for two scans drawn together, to be added to the aligner's score."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class VerifierNetworkConfig:
 
 
 class VerifierNetwork(nn.Module):
-    """Logit that two scans lie so to each other, as a convolutional network sees them."""
+    """What speaks for two scans lying so to each other, as a convolutional network sees them."""
 
     def __init__(self, config: VerifierNetworkConfig = VerifierNetworkConfig()) -> None:
         super().__init__()

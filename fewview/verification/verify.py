@@ -1,4 +1,4 @@
-"""How plausible the rooms are that candidate poses of a pair make."""
+"""What the look of the joint room adds to the aligner's scores of a pair's candidates."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def plausibility(
     target_T_source: Array,
     network: VerifierNetwork | None = None,
 ) -> Array:
-    """(K,) logits that the scans lie so to each other.
+    """(K,) to be added to the aligner's log probabilities; the logit of a right pose is the sum.
 
     Args:
         source, target: the scans from above.
