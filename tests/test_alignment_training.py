@@ -45,7 +45,7 @@ def batch_of(problem: Problem, seed: int = 0) -> Batch:
 
 
 def test_what_views_share(folder: str) -> None:
-    room = drawn(box_room(0, views=3), folder, 0.0, np.random.default_rng(0))
+    room = drawn(box_room(0, views=3), Path(folder), 0.0, np.random.default_rng(0))
     np.testing.assert_array_equal(np.diag(room.shared), 1.0)
     np.testing.assert_array_equal(room.shared, room.shared.T)
     assert room.shared.min() < 1.0
@@ -58,7 +58,7 @@ def test_what_views_share(folder: str) -> None:
 
 def test_a_mirrored_drawing_is_that_of_the_mirrored_room(folder: str) -> None:
     problem = AlignerProblem(size=ALIGNER, weights=folder)
-    room = drawn(box_room(0, views=2), folder, 0.0, np.random.default_rng(0))
+    room = drawn(box_room(0, views=2), Path(folder), 0.0, np.random.default_rng(0))
     batches = [problem.batch([r], np.random.default_rng(0)) for r in (room, mirrored(room))]
     plain, turned = batches
     torch.testing.assert_close(turned["drawing"], plain["drawing"].flip(3))
@@ -69,11 +69,11 @@ def test_a_mirrored_drawing_is_that_of_the_mirrored_room(folder: str) -> None:
 
 
 def test_other_weights_make_other_drawings(folder: str, tmp_path: Path) -> None:
-    first = drawing_fingerprint(folder, 1.0)
-    assert first == drawing_fingerprint(folder, 1.0)
-    assert first != drawing_fingerprint(folder, 2.0)
+    first = drawing_fingerprint(Path(folder), 1.0)
+    assert first == drawing_fingerprint(Path(folder), 1.0)
+    assert first != drawing_fingerprint(Path(folder), 2.0)
     (tmp_path / "layout.safetensors").write_bytes(b"other")
-    assert first != drawing_fingerprint(str(tmp_path), 1.0)
+    assert first != drawing_fingerprint(tmp_path, 1.0)
 
 
 def test_the_aligner_is_taught_the_true_pose(folder: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import cast
@@ -43,21 +42,18 @@ class AlignerProblem(DrawnProblem):
         surface, ``away`` (P,) the quarter turns that make the cameras face away from each other.
         Pairs whose walls are not parallel or that are out of reach are left out."""
         drawn = DrawnRooms(rooms)
-        views = range(len(drawn.drawings))
-        pairs = [
-            (a, b) for a, b in itertools.permutations(views, 2) if drawn.room[a] == drawn.room[b]
-        ]
+        index = np.concatenate(drawn.pairs())
         true = [
             planar_motion(drawn.drawings[a], drawn.drawings[b], drawn.target_T_source(a, b)[None])
-            for a, b in pairs
+            for a, b in index
         ]
-        motion, index = np.concatenate(true), np.array(pairs)
+        motion = np.concatenate(true)
         turns = np.rint(motion[:, 0] / QUARTER)
         usable = np.abs(motion[:, 0] - turns * QUARTER) < MAX_YAW
         usable &= (np.abs(motion[:, 1:]) < (GRID - 1) * STEP_M).all(axis=1)
         heading = np.array([_heading(d.level_T_scan) for d in drawn.drawings])
         away = heading[index[:, 1]] + np.pi - heading[index[:, 0]]
-        apart = np.array([drawn.apart(a, b) for a, b in pairs])
+        apart = np.array([drawn.apart(a, b) for a, b in index])
         columns = {
             "source": index[:, 0],
             "target": index[:, 1],

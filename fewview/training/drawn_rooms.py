@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -23,6 +24,7 @@ from fewview.geometry import se3
 from fewview.synthetic import split_seed
 from fewview.training.point_batches import room_points
 from fewview.training.problem import Problem
+from fewview.training.rooms import MIRROR
 from fewview.types import Array, FloatArray, IntArray, RingScan
 
 if TYPE_CHECKING:
@@ -32,8 +34,6 @@ if TYPE_CHECKING:
 
 VOXEL_M = 0.2
 APART = 0.1
-LEFT = np.diag([1.0, -1.0, 1.0, 1.0])
-"""Mirrors the left axis of level frames."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +72,11 @@ class DrawnRooms:
         self._shared = [row for room in rooms for row in room.shared[:, room.number]]
         self._first = np.searchsorted(self.room, self.room)
 
+    def pairs(self) -> list[IntArray]:
+        """For each room, all ordered pairs (P, 2) of its views."""
+        views = np.split(np.arange(len(self.room)), np.unique(self._first)[1:])
+        return [np.array(list(itertools.permutations(v, 2)), np.int64) for v in views]
+
     def apart(self, a: int, b: int) -> bool:
         """Whether two views of one room share less than a tenth of their surface."""
         return bool(self._shared[a][b - self._first[b]] < APART)
@@ -91,11 +96,16 @@ class DrawnProblem(Problem):
     tilt_deg: float = 1.0
     """Standard deviation of the error of the level frame about each horizontal axis."""
 
+    @property
+    def folder(self) -> Path:
+        """Where those weights are."""
+        return Path(self.weights) if self.weights else weights.FOLDER
+
     def prepared(self, rooms: RoomSource) -> RoomSource:
-        return Draughtsman(rooms, self.weights, self.tilt_deg)
+        return Draughtsman(rooms, self.folder, self.tilt_deg)
 
     def preparation(self) -> str:
-        return drawing_fingerprint(self.weights, self.tilt_deg)
+        return drawing_fingerprint(self.folder, self.tilt_deg)
 
     def mirrored(self, room: DrawnRoom) -> DrawnRoom:
         return mirrored(room)
@@ -107,12 +117,12 @@ class Draughtsman:
 
     Attributes:
         rooms: what is drawn.
-        weights_folder: of the layout network, empty for the shipped ones.
+        folder: of the layout network's weights.
         tilt_deg: standard deviation of the error of the level frame about each horizontal axis.
     """
 
     rooms: RoomSource
-    weights_folder: str
+    folder: Path
     tilt_deg: float
 
     def __call__(self, split: Split, index: int, views: int, size: int) -> DrawnRoom:
@@ -123,15 +133,13 @@ class Draughtsman:
         """
         room: RoomSample = self.rooms(split, index, views, size)
         rng = np.random.default_rng([split_seed(split, index), 2])
-        return drawn(room, self.weights_folder, self.tilt_deg, rng)
+        return drawn(room, self.folder, self.tilt_deg, rng)
 
 
-def drawn(
-    room: RoomSample, weights_folder: str, tilt_deg: float, rng: np.random.Generator
-) -> DrawnRoom:
+def drawn(room: RoomSample, folder: Path, tilt_deg: float, rng: np.random.Generator) -> DrawnRoom:
     """Complete and draw every view of a room; ``rng`` chooses points and tilts."""
     scans = room_points([room], POINTS, tilt_deg, rng)
-    network = _layout_network(weights_folder)
+    network = _layout_network(folder)
     grid_T_level = se3.pose(scans.tilts @ scans.turns, np.zeros((len(scans.turns), 3)))
     layouts = completed_layouts(network, scans.batch, list(grid_T_level))
     drawings, seen = [], []
@@ -154,16 +162,16 @@ def mirrored(room: DrawnRoom) -> DrawnRoom:
     """The same room with left and right exchanged."""
     values = {
         "channels": room.channels[..., ::-1].copy(),
-        "grid_T_level": LEFT @ room.grid_T_level @ LEFT,
-        "level_T_world": LEFT @ room.level_T_world @ LEFT,
+        "grid_T_level": MIRROR @ room.grid_T_level @ MIRROR,
+        "level_T_world": MIRROR @ room.level_T_world @ MIRROR,
     }
     return cast(DrawnRoom, SimpleNamespace(**{**vars(room), **values}))
 
 
-def drawing_fingerprint(weights_folder: str, tilt_deg: float) -> str:
+def drawing_fingerprint(folder: Path, tilt_deg: float) -> str:
     """Of what makes drawings of rooms: the layout network's weights, the tilt and the code."""
     makes = hashlib.sha256(str(tilt_deg).encode())
-    makes.update((_folder(weights_folder) / f"{NAME}.safetensors").read_bytes())
+    makes.update((folder / f"{NAME}.safetensors").read_bytes())
     completes = sorted(Path(str(layout_completion.__file__)).parent.glob("*.py"))
     for file in (*completes, Path(drawing.__file__)):
         makes.update(file.read_bytes())
@@ -171,14 +179,8 @@ def drawing_fingerprint(weights_folder: str, tilt_deg: float) -> str:
 
 
 @cache
-def _layout_network(folder: str) -> LayoutNetwork:
-    return weights.shipped(
-        NAME, lambda size: LayoutNetwork(LayoutNetworkConfig(**size)), _folder(folder)
-    )
-
-
-def _folder(name: str) -> Path:
-    return Path(name) if name else weights.FOLDER
+def _layout_network(folder: Path) -> LayoutNetwork:
+    return weights.shipped(NAME, lambda size: LayoutNetwork(LayoutNetworkConfig(**size)), folder)
 
 
 def _voxels(points: Array) -> frozenset[int]:

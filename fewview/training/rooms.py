@@ -29,6 +29,7 @@ PREFETCH = 4
 RINGS = ("colour", "depth", "normal", "semantics", "observed", "measured", "plane_id")
 LEFT = np.array([1.0, -1.0, 1.0])
 """Mirrors the level frame's left axis."""
+MIRROR = np.diag([*LEFT, 1.0])
 RIGHT = np.array([-1.0, 1.0, 1.0])
 """Mirrors a camera's right axis."""
 
@@ -134,7 +135,7 @@ def mirrored(room: RoomSample) -> RoomSample:
     columns = (3 * size - 1 - np.arange(4 * size)) % (4 * size)
     values = {name: getattr(room, name)[:, :, columns] for name in RINGS}
     values["normal"] = values["normal"] * LEFT.astype(np.float32)
-    values["level_T_world"] = np.diag([*LEFT, 1.0]) @ room.level_T_world @ np.diag([*LEFT, 1.0])
+    values["level_T_world"] = MIRROR @ room.level_T_world @ MIRROR
     values["scan_R_level"] = np.diag(RIGHT) @ room.scan_R_level @ np.diag(LEFT)
     values["layout"] = room.layout[:, :, ::-1].copy()
     values["planes"] = room.planes * np.array([*LEFT, 1.0], np.float32)

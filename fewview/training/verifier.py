@@ -6,7 +6,6 @@ them that the aligner did not find would teach the network to distrust the align
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -51,12 +50,10 @@ class VerifierProblem(DrawnProblem):
         of them, best first; ``yaw`` (P,) the true one; ``apart`` (P,) whether they share hardly
         any surface; ``turn`` () quarter turns in which they are drawn."""
         drawn = DrawnRooms(rooms)
-        aligner = _aligner(self.weights)
+        aligner = _aligner(self.folder)
         scans = [embed(drawing, aligner) for drawing in drawn.drawings]
         columns: dict[str, list[np.ndarray]] = {}
-        for room in range(len(rooms)):
-            views = np.flatnonzero(drawn.room == room)
-            pairs = np.array(list(itertools.permutations(views, 2)))
+        for pairs in drawn.pairs():
             for a, b in pairs[rng.permutation(len(pairs))[: self.pairs]]:
                 true = drawn.target_T_source(a, b)
                 row = {
@@ -117,8 +114,8 @@ class VerifierProblem(DrawnProblem):
 
 
 @cache
-def _aligner(folder: str) -> AlignerNetwork:
-    return weights.shipped(ALIGNER, aligner_of, Path(folder) if folder else weights.FOLDER)
+def _aligner(folder: Path) -> AlignerNetwork:
+    return weights.shipped(ALIGNER, aligner_of, folder)
 
 
 def _logits(network: nn.Module, batch: Batch, turns: int) -> Tensor:
