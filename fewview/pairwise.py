@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fewview.alignment import Alignment
+from fewview.alignment import NEVER, Alignment
+from fewview.choice import chosen
 from fewview.completion import OBSERVED_KINDS, chosen_kinds
 from fewview.config import Config
 from fewview.geometry import se3
@@ -75,8 +76,8 @@ def match_pair(
         model: probability model; the shipped one for such scans when not given.
 
     Returns:
-        candidates by falling probability, no two within the duplicate tolerance; or a status and
-        a reason when there is nothing to believe in.
+        candidates by falling worth (see `choice`), no two within the duplicate tolerance; or a
+        status and a reason when there is nothing to believe in.
     """
     weighed = weigh_pair(source, target, config)
     if len(weighed.poses) == 0:
@@ -85,11 +86,12 @@ def match_pair(
     if model is None:
         model = shipped_model(source.scan.room.completed and target.scan.room.completed)
     probability = model.probabilities([e.features for e in weighed.evidence])
-    order = np.argsort(-probability, kind="stable")[: config.matching.top_k]
+    turn_chance = np.exp([e.features.get("aligner_yaw", NEVER) for e in weighed.evidence])
+    order = chosen(probability, weighed.poses, turn_chance, config.matching.top_k)
     candidates = tuple(
         _candidate(weighed, int(k), rank, float(probability[k])) for rank, k in enumerate(order)
     )
-    best = candidates[0].probability
+    best = float(probability.max())
     if best < MIN_BELIEVABLE:
         reason = f"the best candidate has probability {best:.2f}"
         return PairResult(*indices, PairStatus.NOTHING_BELIEVABLE, candidates, reason)
@@ -105,14 +107,14 @@ def weigh_pair(source: PreparedScan, target: PreparedScan, config: Config) -> We
     refined = _refine(source, target, proposals, matches, config)
     poses = refined.target_T_source
     support = _support(matches, poses)
-    chosen = _different(source, target, poses, support[:, : len(observed)], config)
-    poses, support = poses[chosen], support[chosen]
-    kept = tuple(origins[k] for k in chosen)
-    covariance = refined.covariance[chosen]
+    different = _different(source, target, poses, support[:, : len(observed)], config)
+    poses, support = poses[different], support[different]
+    kept = tuple(origins[k] for k in different)
+    covariance = refined.covariance[different]
     found = evidence.gather(
-        source, target, poses, covariance, matches, support, kept, scores[chosen], alignment
+        source, target, poses, covariance, matches, support, kept, scores[different], alignment
     )
-    return Weighed(poses, covariance, kept, scores[chosen], matches, support, found)
+    return Weighed(poses, covariance, kept, scores[different], matches, support, found)
 
 
 def _candidate_matches(

@@ -1,9 +1,11 @@
 """From evidence to a calibrated probability: a conditional logit over a pair's candidates.
 
 Exactly one of K candidates is right, or none is: p_k = exp(z_k) / (1 + sum_j exp(z_j)) with
-z = w . f + b. There is one model for scans whose rooms were completed and one for scans as seen.
-Coefficients are fitted on validation scenes by scripts/fit_probability.py and stored in
-weights/probability_completed.json and probability_observed.json together with how they were made.
+z = w . f + b + v . tanh(U f + c); the last term is for evidence that counts only beside other
+evidence, such as where the cameras face when nothing that both have seen agrees. There is one model
+for scans whose rooms were completed and one for scans as seen. Coefficients are fitted on
+validation scenes by scripts/fit_probability.py and stored in weights/probability_completed.json and
+probability_observed.json together with how they were made.
 """
 
 from __future__ import annotations
@@ -18,6 +20,9 @@ import numpy as np
 
 from fewview.types import Array
 
+CLIP = 4.0
+"""Evidence further from its mean, in standard deviations, says no more than this."""
+
 
 @dataclass(frozen=True)
 class ProbabilityModel:
@@ -26,7 +31,8 @@ class ProbabilityModel:
     Attributes:
         features: names of the evidence features, in order.
         mean, scale: (d,) standardisation.
-        coefficients: (d,); intercept: float.
+        coefficients: (d,) w; intercept: b.
+        inner: (h, d) U; inner_offsets: (h,) c; outer: (h,) v.
     """
 
     features: tuple[str, ...]
@@ -34,14 +40,23 @@ class ProbabilityModel:
     scale: Array
     coefficients: Array
     intercept: float
+    inner: Array
+    inner_offsets: Array
+    outer: Array
 
-    def logits(self, evidence: Sequence[Mapping[str, float]]) -> Array:
-        """(K,) z of candidates described by named features; one that was not measured says
-        nothing."""
+    def standardised(self, evidence: Sequence[Mapping[str, float]]) -> Array:
+        """(K, d) f of candidates described by named features; one that was not measured is as it
+        is on average."""
         typical = dict(zip(self.features, self.mean, strict=True))
         rows = np.array([[e.get(name, typical[name]) for name in typical] for e in evidence])
         rows = rows.reshape(len(evidence), len(self.features))
-        return np.asarray((rows - self.mean) / self.scale @ self.coefficients + self.intercept)
+        return np.clip((rows - self.mean) / self.scale, -CLIP, CLIP)
+
+    def logits(self, evidence: Sequence[Mapping[str, float]]) -> Array:
+        """(K,) z of candidates described by named features."""
+        f = self.standardised(evidence)
+        beside = np.tanh(f @ self.inner.T + self.inner_offsets) @ self.outer
+        return np.asarray(f @ self.coefficients + self.intercept + beside)
 
     def probabilities(self, evidence: Sequence[Mapping[str, float]]) -> Array:
         """(K,) probabilities that each candidate is the right one; their sum is below one."""
@@ -49,6 +64,10 @@ class ProbabilityModel:
         shift = max(float(z.max(initial=0.0)), 0.0)
         weights = np.exp(z - shift)
         return np.asarray(weights / (np.exp(-shift) + weights.sum()))
+
+
+ARRAYS = ("mean", "scale", "coefficients", "inner", "inner_offsets", "outer")
+"""Names of a model's arrays, in memory as in the stored JSON."""
 
 
 @cache
@@ -65,10 +84,5 @@ def from_dict(values: Mapping[str, object]) -> ProbabilityModel:
     assert isinstance(names, list)
     intercept = values["intercept"]
     assert isinstance(intercept, int | float)
-    return ProbabilityModel(
-        tuple(names),
-        np.array(values["mean"], dtype=np.float64),
-        np.array(values["scale"], dtype=np.float64),
-        np.array(values["coefficients"], dtype=np.float64),
-        float(intercept),
-    )
+    arrays = {name: np.array(values[name], dtype=np.float64) for name in ARRAYS}
+    return ProbabilityModel(features=tuple(names), intercept=float(intercept), **arrays)

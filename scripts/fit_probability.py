@@ -14,13 +14,17 @@ import argparse
 import itertools
 import json
 import platform
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from scipy.optimize import minimize
+from torch import Tensor, nn
 
 from fewview import scans as readers
 from fewview import synthetic, weights
@@ -31,7 +35,7 @@ from fewview.executor import Executor
 from fewview.geometry import se3
 from fewview.matching.prepared import prepare
 from fewview.pairwise import weigh_pair
-from fewview.probability import ProbabilityModel
+from fewview.probability import ARRAYS, ProbabilityModel
 from fewview.types import Array, Frame
 
 RIGHT_DEG, RIGHT_M = 15.0, 0.3
@@ -82,16 +86,30 @@ COMPLETED = (
     "alone_inside",
     "alone_through",
 )
-RIDGE = 2.0
+RIDGE, HIDDEN_RIDGE = 2.0, 10.0
+HIDDEN = 8
+START = 0.1
+ITERATIONS = 400
+PAIRS_OF_A_SCENE = 45.0
+"""A scene of so many pairs counts one for each; one of n times as many counts sqrt(n) as much."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Candidates of a pair as named features, and which of them is right (None: none is)."""
+    """Candidates of a pair as named features, and how far each is from the truth."""
 
     scene: str
     candidates: list[dict[str, float]]
-    right: int | None
+    turns_deg: list[float]
+    shifts_m: list[float]
+
+    @cached_property
+    def right(self) -> int | None:
+        """The candidate that is right and nearest to the truth; None: none is right."""
+        turns, shifts = np.array(self.turns_deg), np.array(self.shifts_m)
+        right = (turns < RIGHT_DEG) & (shifts < RIGHT_M)
+        error = turns / RIGHT_DEG + shifts / RIGHT_M
+        return int(np.where(right, error, np.inf).argmin()) if right.any() else None
 
 
 def main() -> None:
@@ -135,9 +153,9 @@ def observed(config: Config) -> Config:
 def cached(cache: Path, name: str, make: Any) -> list[Pair]:
     path = cache / f"{name}.json"
     if not path.is_file():
-        pairs = [p.__dict__ for p in make()]
-        path.write_text(json.dumps(pairs))
-        right = sum(p["right"] is not None for p in pairs)
+        pairs = list(make())
+        path.write_text(json.dumps([asdict(p) for p in pairs]))
+        right = sum(p.right is not None for p in pairs)
         print(f"{name}: {len(pairs)} pairs, {right} with a right candidate", flush=True)
     return [Pair(**p) for p in json.loads(path.read_text())]
 
@@ -171,42 +189,57 @@ def pairs_of(name: str, frames: list[Frame], poses: list[Array], config: Config)
         weighed = weigh_pair(scans[i], scans[j], config)
         truth = se3.inverse(poses[j]) @ poses[i]
         turn, shift = se3.distance(weighed.poses, truth)
-        right = (np.degrees(turn) < RIGHT_DEG) & (shift < RIGHT_M)
-        error = np.degrees(turn) / RIGHT_DEG + shift / RIGHT_M
-        best = int(np.where(right, error, np.inf).argmin()) if right.any() else None
-        return Pair(name, [dict(e.features) for e in weighed.evidence], best)
+        evidence = [dict(e.features) for e in weighed.evidence]
+        return Pair(name, evidence, np.degrees(turn).tolist(), shift.tolist())
 
     yield from executor.map(one, itertools.combinations(range(len(frames)), 2))
 
 
 def fitted(pairs: list[Pair], names: tuple[str, ...]) -> ProbabilityModel:
-    """Maximum likelihood of the conditional logit with a ridge; each scene counts alike."""
+    """Maximum likelihood of the conditional logit with ridges."""
     pairs = [p for p in pairs if p.candidates]
-    rows = [np.array([[c[f] for f in names] for c in p.candidates]) for p in pairs]
-    stacked = np.concatenate(rows)
+    stacked = np.array([[c[f] for f in names] for p in pairs for c in p.candidates])
     mean, scale = stacked.mean(axis=0), stacked.std(axis=0) + 1e-6
-    rows = [(r - mean) / scale for r in rows]
-    sizes = {s: sum(p.scene == s for p in pairs) for s in {p.scene for p in pairs}}
-    weights = np.array([np.sqrt(45.0 / sizes[p.scene]) for p in pairs])
+    shapes = [(len(names),), (), (HIDDEN, len(names)), (HIDDEN,), (HIDDEN,)]
+    sizes = [int(np.prod(shape)) for shape in shapes]
 
-    def loss(parameters: Array) -> tuple[float, Array]:
-        value = RIDGE * float(parameters[:-1] @ parameters[:-1])
-        slope = np.append(2 * RIDGE * parameters[:-1], 0.0)
-        for x, pair, weight in zip(rows, pairs, weights, strict=True):
-            z = x @ parameters[:-1] + parameters[-1]
-            shift = max(z.max(), 0.0)
-            total = np.exp(-shift) + np.exp(z - shift).sum()
-            p = np.exp(z - shift) / total
-            value += weight * (np.log(total) + shift)
-            delta = p.copy()
-            if pair.right is not None:
-                value -= weight * z[pair.right]
-                delta[pair.right] -= 1.0
-            slope += weight * np.append(delta @ x, delta.sum())
-        return value, slope
+    def parts(parameters: Tensor) -> list[Tensor]:
+        return [p.reshape(s) for p, s in zip(torch.split(parameters, sizes), shapes, strict=True)]
 
-    found = minimize(loss, np.zeros(len(names) + 1), jac=True, method="L-BFGS-B")
-    return ProbabilityModel(names, mean, scale, found.x[:-1], float(found.x[-1]))
+    def model(parameters: Array) -> ProbabilityModel:
+        w, b, u, c, v = (p.numpy() for p in parts(torch.from_numpy(parameters)))
+        return ProbabilityModel(names, mean, scale, w, float(b), u, c, v)
+
+    start = np.random.default_rng(0).normal(0.0, START, sum(sizes))
+    start[: len(names) + 1] = 0.0
+    f, there, right, weight = _padded(pairs, model(start))
+
+    def loss(values: Array) -> tuple[float, Array]:
+        parameters = torch.from_numpy(values).requires_grad_()
+        w, b, u, c, v = parts(parameters)
+        z = f @ w + b + torch.tanh(f @ u.T + c) @ v
+        z = nn.functional.pad(z.masked_fill(~there, -torch.inf), (1, 0))
+        error = (weight * nn.functional.cross_entropy(z, right, reduction="none")).sum()
+        error = error + RIDGE * w.square().sum() + HIDDEN_RIDGE * (u.square().sum() + v @ v)
+        (slope,) = torch.autograd.grad(error, parameters)
+        return error.item(), slope.numpy()
+
+    found = minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS})
+    return model(found.x)
+
+
+def _padded(pairs: list[Pair], model: ProbabilityModel) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Standardised evidence (P, K, d), which candidates there are (P, K), the right one (P,) from
+    1 on or 0 for none, and the pairs' weights (P,)."""
+    count = torch.tensor([len(p.candidates) for p in pairs])
+    there = torch.arange(int(count.max())) < count[:, None]
+    rows = model.standardised([c for p in pairs for c in p.candidates])
+    f = torch.zeros(*there.shape, rows.shape[1], dtype=torch.float64)
+    f[there] = torch.from_numpy(rows)
+    right = torch.tensor([0 if p.right is None else p.right + 1 for p in pairs])
+    sizes = Counter(p.scene for p in pairs)
+    weight = torch.tensor([(PAIRS_OF_A_SCENE / sizes[p.scene]) ** 0.5 for p in pairs])
+    return f, there, right, weight
 
 
 def summary(model: ProbabilityModel, pairs: list[Pair]) -> dict[str, float]:
@@ -240,13 +273,11 @@ def stored(
 ) -> dict[str, Any]:
     return {
         "features": list(model.features),
-        "mean": model.mean.round(6).tolist(),
-        "scale": model.scale.round(6).tolist(),
-        "coefficients": model.coefficients.round(6).tolist(),
+        **{name: getattr(model, name).round(6).tolist() for name in ARRAYS},
         "intercept": round(model.intercept, 6),
         "made": {
             "by": "scripts/fit_probability.py",
-            "model": "conditional logit, ridge 2",
+            "model": f"conditional logit, ridge {RIDGE}, {HIDDEN} hidden, ridge {HIDDEN_RIDGE}",
             "right_within": {"deg": RIGHT_DEG, "m": RIGHT_M},
             "rooms": options.rooms,
             "views_per_room": options.views,

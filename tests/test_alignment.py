@@ -6,11 +6,18 @@ import numpy as np
 import pytest
 import torch
 
-from fewview.alignment import AlignerNetwork, AlignerNetworkConfig, Alignment, Embedded, pose_of
+from fewview.alignment import (
+    AlignerNetwork,
+    AlignerNetworkConfig,
+    Alignment,
+    Embedded,
+    joint_drawing,
+    pose_of,
+)
 from fewview.alignment.align import NEVER
-from fewview.alignment.drawing import CHANNELS, Drawing
+from fewview.alignment.drawing import CHANNELS, OBSERVED, PREDICTED, Drawing
 from fewview.alignment.network import GRID, SHIFTS, STEP_M, YAWS, Spectra, shifts
-from fewview.completion.layout.grid import CELLS
+from fewview.completion.layout.grid import CELL_M, CELLS
 from fewview.geometry import se3
 
 EMPTY = Drawing(np.zeros((CHANNELS, CELLS, CELLS), np.float32), np.eye(4), -1.4)
@@ -31,6 +38,41 @@ def embedded(spot: tuple[int, int]) -> Embedded:
     return Embedded(
         EMPTY, Spectra(torch.fft.rfft2(turned, size), torch.fft.rfft2(maps[:, 0], size))
     )
+
+
+def drawing(seed: int, seen: slice = slice(None)) -> Drawing:
+    """Noise that was observed in some rows of the grid."""
+    channels = np.random.default_rng(seed).random((CHANNELS, CELLS, CELLS)).astype(np.float32)
+    channels[OBSERVED] = 0.0
+    channels[OBSERVED, seen] = 1.0
+    return Drawing(channels, np.eye(4), -1.4)
+
+
+def test_a_scan_drawn_together_with_itself_stays_as_it_is() -> None:
+    alone = drawing(0)
+    joint = joint_drawing(alone, [alone], np.eye(4)[None])
+    np.testing.assert_allclose(joint.channels, alone.channels, atol=1e-6)
+
+
+def test_what_only_one_scan_observed_is_taken_from_it() -> None:
+    first, second = drawing(0, slice(0, 20)), drawing(1, slice(20, 40))
+    joint = joint_drawing(first, [second], np.eye(4)[None]).channels
+    np.testing.assert_allclose(joint[PREDICTED, :20], first.channels[PREDICTED, :20], atol=1e-6)
+    np.testing.assert_allclose(
+        joint[PREDICTED, 20:40], second.channels[PREDICTED, 20:40], atol=1e-6
+    )
+    both = 0.5 * (first.channels + second.channels)
+    np.testing.assert_allclose(joint[PREDICTED, 40:], both[PREDICTED, 40:], atol=1e-6)
+    assert joint[OBSERVED, :40].all() and not joint[OBSERVED, 40:].any()
+
+
+def test_another_scan_is_moved_before_it_is_drawn() -> None:
+    turned = se3.pose(se3.rotation_exp(np.array([0.0, 0.0, np.pi / 2])), np.array([0.5, 0.0, 0.0]))
+    nothing, other = drawing(0, slice(0, 0)), drawing(1)
+    joint = joint_drawing(nothing, [other], turned[None]).channels
+    steps = round(0.5 / CELL_M)
+    expected = np.roll(np.rot90(other.channels[PREDICTED], 1, (1, 2)), -steps, axis=1)
+    np.testing.assert_allclose(joint[PREDICTED, :-steps], expected[:, :-steps], atol=1e-6)
 
 
 def test_shifts_count_back_beyond_half() -> None:

@@ -12,6 +12,7 @@ from box_rooms import box_room
 
 from fewview import weights
 from fewview.alignment import AlignerNetwork, AlignerNetworkConfig
+from fewview.alignment.drawing import OBSERVED
 from fewview.completion.layout.network import LayoutNetwork, LayoutNetworkConfig
 from fewview.synthetic import Split
 from fewview.training import loop, rooms
@@ -81,13 +82,33 @@ def test_the_aligner_is_taught_the_true_pose(folder: str) -> None:
     there = {
         (int(a), int(b)): i
         for i, (a, b) in enumerate(zip(batch["source"], batch["target"], strict=True))
+        if not batch["joint"][i]
     }
+    assert there
     assert all(a // 3 == b // 3 for a, b in there)
     for (a, b), i in there.items():
         back = there[b, a]
         assert (batch["yaw"][i] + batch["yaw"][back]) % 4 == 0
         distance = batch["shift"][[i, back]].norm(dim=1)
         torch.testing.assert_close(distance[0], distance[1], rtol=1e-3, atol=1e-3)
+
+
+def test_a_target_of_several_views_never_shows_the_source(folder: str) -> None:
+    problem = AlignerProblem(size=ALIGNER, weights=folder, joint=3, together=1)
+    batch = batch_of(problem)
+    joint = batch["joint"]
+    assert joint.any() and not joint.all()
+    assert (batch["room"][batch["source"]] == batch["room"][batch["target"]]).all()
+    observed = batch["drawing"][:, OBSERVED] > 0
+    for i in torch.nonzero(joint)[:, 0]:
+        group, source = int(batch["target"][i]), int(batch["source"][i])
+        alone = [
+            v
+            for v in range(6)
+            if batch["room"][v] == batch["room"][group]
+            and not (observed[v] & ~observed[group]).any()
+        ]
+        assert alone and source not in alone
 
 
 @pytest.mark.parametrize("name", ["aligner", "verifier"])
@@ -102,7 +123,7 @@ def test_losses_fall_and_figures_are_shares_and_errors(folder: str, name: str) -
     optimiser = torch.optim.Adam(network.parameters(), 3e-3)
     values = []
     for _ in range(12):
-        (loss,) = problem.losses(network, batch).values()
+        loss = torch.stack(list(problem.losses(network, batch).values())).sum()
         optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimiser.step()
@@ -138,6 +159,8 @@ def test_a_run_learns_from_rooms_drawn_once(
     )
     loop.train(config, tmp_path / "run", device="cpu", jobs=0)
     assert sorted(made) == [0, 0, 1]
+    kept = sorted(path.name for path in (tmp_path / "store").iterdir())
+    assert len(kept) == 2 and kept[1].startswith(f"{kept[0]}-")
     assert weights.load("aligner", tmp_path / "run")[1]["steps"] == 4
 
 

@@ -23,7 +23,7 @@ ALGORITHMS = {
     "refinement",
     "global_stage",
 }
-ESTIMATORS = ALGORITHMS | {"probability", "pairwise", "fusion", "pipeline"}
+ESTIMATORS = ALGORITHMS | {"probability", "choice", "pairwise", "fusion", "pipeline"}
 ALLOWED: Mapping[str, set[str]] = {
     "types": set(),
     "errors": set(),
@@ -31,7 +31,8 @@ ALLOWED: Mapping[str, set[str]] = {
     "config": {"errors"},
     **{part: GROUND | ALGORITHMS | {"config", "errors", "weights"} for part in ALGORITHMS},
     "probability": GROUND | {"config", "errors"},
-    "pairwise": GROUND | ALGORITHMS | {"config", "errors", "weights", "probability"},
+    "choice": GROUND,
+    "pairwise": GROUND | ALGORITHMS | {"config", "errors", "weights", "probability", "choice"},
     "fusion": GROUND | {"config", "errors"},
     "weights": {"errors"},
     "training": GROUND

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -17,7 +19,7 @@ from fewview.matching.manhattan import manhattan_poses
 from fewview.matching.prepared import PreparedScan, prepare
 from fewview.probability import ProbabilityModel, shipped_model
 from fewview.refinement import evidence
-from fewview.types import Frame, Intrinsics
+from fewview.types import Array, Frame, Intrinsics
 
 CAMERA = Intrinsics(320, 240, 280.0, 280.0, 159.5, 119.5)
 
@@ -138,17 +140,40 @@ def test_depth_image_points_project_onto_themselves() -> None:
 
 @given(st.lists(st.floats(-30, 30), min_size=1, max_size=6))
 def test_probabilities_of_a_pair_stay_below_one(values: list[float]) -> None:
-    model = ProbabilityModel(("x",), np.zeros(1), np.ones(1), np.ones(1), -1.0)
+    model = logit(("x",), np.zeros(1), np.ones(1), -1.0)
     p = model.probabilities([{"x": v} for v in values])
     assert (p >= 0).all() and p.sum() <= 1.0 + 1e-12
     assert np.argmax(p) == np.argmax(values) or np.isclose(p.max(), p[np.argmax(values)])
 
 
 def test_what_was_not_measured_says_nothing() -> None:
-    model = ProbabilityModel(
-        ("x", "y"), np.array([1.0, 5.0]), np.ones(2), np.array([1.0, 2.0]), 0.0
-    )
+    model = logit(("x", "y"), np.array([1.0, 5.0]), np.array([1.0, 2.0]), 0.0)
     np.testing.assert_allclose(model.logits([{"x": 3.0}, {"x": 3.0, "y": 6.0}]), [2.0, 4.0])
+
+
+def test_evidence_far_out_says_no_more_than_much_evidence() -> None:
+    model = logit(("x",), np.zeros(1), np.ones(1), 0.0)
+    np.testing.assert_allclose(model.logits([{"x": 4.0}, {"x": 400.0}]), [4.0, 4.0])
+
+
+def test_evidence_can_count_only_beside_other_evidence() -> None:
+    both = replace(
+        logit(("x", "y"), np.zeros(2), np.zeros(2), 0.0),
+        inner=np.array([[3.0, 3.0]]),
+        inner_offsets=np.array([-3.0]),
+        outer=np.array([1.0]),
+    )
+    none, one, two = both.logits([{"x": 0, "y": 0}, {"x": 1, "y": 0}, {"x": 1, "y": 1}])
+    assert two - one > 0.95 and two - none == pytest.approx(2 * np.tanh(3.0))
+
+
+def logit(
+    names: tuple[str, ...], mean: Array, weights: Array, intercept: float
+) -> ProbabilityModel:
+    """A model without inner units."""
+    d = len(names)
+    nothing = {"inner": np.zeros((1, d)), "inner_offsets": np.zeros(1), "outer": np.zeros(1)}
+    return ProbabilityModel(names, mean, np.ones(d), weights, intercept, **nothing)
 
 
 @pytest.mark.parametrize("kind", ["observed", "completed"])
@@ -162,4 +187,5 @@ def test_shipped_coefficients_say_how_they_were_made(kind: str) -> None:
     assert not set(values["made"]["scenes"]) & set(values["made"]["checked_on"])
     model = shipped_model(kind == "completed")
     assert len(model.features) == len(model.coefficients) == len(model.mean)
+    assert model.inner.shape == (len(model.outer), len(model.features))
     assert (model.scale > 0).all()

@@ -161,7 +161,10 @@ def test_the_order_of_points_does_not_matter(network: LayoutNetwork) -> None:
     batch = PointBatch.of([scan_of(2)])
     order = torch.randperm(batch.points.shape[1], generator=torch.Generator().manual_seed(1))
     shuffled = batch._replace(
-        **{n: getattr(batch, n)[:, order] for n in ("points", "colours", "normals", "valid")}
+        **{
+            n: getattr(batch, n)[:, order]
+            for n in ("points", "colours", "normals", "valid", "pixels")
+        }
     )
     torch.testing.assert_close(network(shuffled).logits, network(batch).logits, atol=1e-4, rtol=0)
 

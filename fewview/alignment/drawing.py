@@ -17,6 +17,8 @@ from fewview.types import Array, CompletedLayout, FloatArray, RingScan
 CHANNELS = 13
 PREDICTED = slice(0, 4)
 OBSERVED = 4
+SHOWN = slice(5, 10)
+COLOURS = slice(10, CHANNELS)
 UPRIGHT_COS = 0.35
 LEVEL_COS = 0.9
 EYE_BAND_M = (0.15, 1.2)

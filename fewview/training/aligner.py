@@ -10,11 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from fewview.alignment import AlignerNetwork, AlignerNetworkConfig, planar_motion
+from fewview.alignment import AlignerNetwork, AlignerNetworkConfig, Drawing, joint_drawing
 from fewview.alignment.align import MAX_YAW, QUARTER
 from fewview.alignment.network import GRID, STEP_M, YAWS, shifts
+from fewview.training import losses
 from fewview.training.drawn_rooms import DrawnProblem, DrawnRoom, DrawnRooms
 from fewview.training.problem import Batch
+from fewview.types import IntArray
 
 TOP = 5
 
@@ -29,6 +31,12 @@ class AlignerProblem(DrawnProblem):
     """Standard deviation of the shift that is taught as true."""
     apart: float = 2.0
     """What pairs count that share less than a tenth of their surface, against others."""
+    turn: float = 0.5
+    """Of the cross-entropy of the true yaw, whatever the shift."""
+    joint: int = 4
+    """Views of a room that are targets a second time, drawn together with others."""
+    together: int = 3
+    """The most others that are drawn together with one."""
     name: str = "aligner"
     """Of the weights."""
 
@@ -36,56 +44,74 @@ class AlignerProblem(DrawnProblem):
         return AlignerNetwork(self.size)
 
     def batch(self, rooms: Sequence[DrawnRoom], rng: np.random.Generator) -> Batch:
-        """``drawing`` (B, CHANNELS, CELLS, CELLS) and its ``room`` (B,); all ordered pairs of views
-        of the same room, one room after the other: ``source``, ``target`` (P,); ``yaw`` (P,) true
-        quarter turns, ``shift`` (P, 2) metres, ``apart`` (P,) whether they share hardly any
-        surface, ``away`` (P,) the quarter turns that make the cameras face away from each other.
-        Pairs whose walls are not parallel or that are out of reach are left out."""
+        """``drawing`` (B, CHANNELS, CELLS, CELLS) and its ``room`` (B,) of all views, then of views
+        drawn together with others. All ordered pairs of a view and another drawing of its room that
+        does not show it: ``source``, ``target`` (P,); ``yaw`` (P,) true quarter turns, ``shift``
+        (P, 2) metres, ``apart`` (P,) whether they share hardly any surface, ``joint`` (P,) whether
+        the target shows several views, ``away`` (P,) the quarter turns that make the cameras face
+        away from each other. Pairs whose walls are not parallel or that are out of reach are left
+        out."""
         drawn = DrawnRooms(rooms)
-        index = np.concatenate(drawn.pairs())
-        true = [
-            planar_motion(drawn.drawings[a], drawn.drawings[b], drawn.target_T_source(a, b)[None])
-            for a, b in index
-        ]
-        motion = np.concatenate(true)
+        views = len(drawn.drawings)
+        groups = [(view,) for view in range(views)] + self._groups(drawn.room, rng)
+        shown = [joint_view(drawn, group) for group in groups]
+        room = drawn.room[[group[0] for group in groups]]
+        index = np.argwhere(room[:views, None] == room)
+        index = np.array([(a, b) for a, b in index if a not in groups[b]])
+        target = np.array([group[0] for group in groups])[index[:, 1]]
+        motion = np.concatenate(
+            [drawn.motion(a, b) for a, b in zip(index[:, 0], target, strict=True)]
+        )
         turns = np.rint(motion[:, 0] / QUARTER)
         usable = np.abs(motion[:, 0] - turns * QUARTER) < MAX_YAW
         usable &= (np.abs(motion[:, 1:]) < (GRID - 1) * STEP_M).all(axis=1)
         heading = np.array([_heading(d.level_T_scan) for d in drawn.drawings])
-        away = heading[index[:, 1]] + np.pi - heading[index[:, 0]]
-        apart = np.array([drawn.apart(a, b) for a, b in index])
+        away = heading[target] + np.pi - heading[index[:, 0]]
         columns = {
             "source": index[:, 0],
             "target": index[:, 1],
             "yaw": turns.astype(np.int64) % YAWS,
             "shift": motion[:, 1:],
-            "apart": apart,
+            "apart": np.array([all(drawn.apart(a, v) for v in groups[b]) for a, b in index]),
+            "joint": index[:, 1] >= views,
             "away": np.rint(away / QUARTER).astype(np.int64) % YAWS,
         }
         kept = {name: torch.from_numpy(values[usable]) for name, values in columns.items()}
-        drawings = np.stack([drawing.channels for drawing in drawn.drawings])
-        return {
-            "drawing": torch.from_numpy(drawings),
-            "room": torch.from_numpy(drawn.room),
-            **kept,
-        }
+        drawings = np.stack([drawing.channels for drawing in shown])
+        return {"drawing": torch.from_numpy(drawings), "room": torch.from_numpy(room), **kept}
+
+    def _groups(self, room: IntArray, rng: np.random.Generator) -> list[tuple[int, ...]]:
+        """Of every room, `joint` views, each with up to `together` others."""
+        out = []
+        for number in np.unique(room):
+            views = np.flatnonzero(room == number)
+            for first in rng.permutation(views)[: self.joint]:
+                others = rng.permutation(views[views != first])
+                out.append((first, *others[: rng.integers(1, self.together + 1)]))
+        return out
 
     def losses(self, network: nn.Module, batch: Batch) -> dict[str, Tensor]:
-        """The cross-entropy of the true pose."""
+        """The cross-entropies of the true pose and of its yaw alone."""
         logits = _logits(network, batch)
         log_chance = logits.flatten(1).log_softmax(dim=1).view_as(logits)
         log_chance = log_chance[torch.arange(len(logits)), batch["yaw"]]
+        turn = -log_chance.flatten(1).logsumexp(dim=1)
         at = shifts().to(logits.device)
         along = [_blurred(batch["shift"][:, axis, None] - at, self.blur_m) for axis in (0, 1)]
         taught = along[0][:, :, None] * along[1][:, None, :]
         loss = -(taught * log_chance).sum(dim=(1, 2))
         weight = torch.where(batch["apart"], self.apart, 1.0)
-        return {"pose": (loss * weight).sum() / weight.sum()}
+        return {
+            "pose": losses.weighted_mean(loss, weight),
+            "turn": self.turn * losses.weighted_mean(turn, weight),
+        }
 
     def metrics(self, network: nn.Module, batch: Batch) -> dict[str, float]:
         """Mean error of the yaw, median error of the shift, and share within 0.3 m of the first
-        pose and of the best of the first five; beside cameras facing away."""
+        pose and of the best of the first five; beside the most probable yaw whatever the shift,
+        and cameras facing away."""
         logits = _logits(network, batch)
+        likely = logits.flatten(2).logsumexp(dim=2).argmax(dim=1)
         wrong = 90.0 * _between(torch.arange(YAWS)[None], batch["yaw"][:, None]).float()
         first, found = _peaks(logits)
         yaw_error = wrong.gather(1, first)
@@ -93,11 +119,19 @@ class AlignerProblem(DrawnProblem):
         right_yaw = yaw_error == 0
         joint = torch.where(right_yaw, error, 9.0)
         away = wrong.gather(1, batch["away"][:, None])[:, 0]
+        turned = wrong.gather(1, likely[:, None])[:, 0]
         out: dict[str, float] = {}
-        for part, where in (("apart", batch["apart"]), ("sharing", ~batch["apart"])):
+        apart, joint_target = batch["apart"], batch["joint"]
+        parts = {
+            "apart": apart & ~joint_target,
+            "sharing": ~apart & ~joint_target,
+            "joint_apart": apart & joint_target,
+        }
+        for part, where in parts.items():
             if not bool(where.any()):
                 continue
             out[f"{part}_away_deg"] = float(away[where].mean())
+            out[f"{part}_yaw_deg"] = float(turned[where].mean())
             for name, count in (("top1", 1), (f"top{TOP}", TOP)):
                 best = joint[where, :count].amin(dim=1)
                 out[f"{part}_{name}_deg"] = float(yaw_error[where, :count].amin(dim=1).mean())
@@ -110,14 +144,24 @@ class AlignerProblem(DrawnProblem):
 def _logits(network: nn.Module, batch: Batch) -> Tensor:
     aligner = cast(AlignerNetwork, network)
     spectra = aligner(batch["drawing"])
-    found = []
-    for room in range(int(batch["room"].max()) + 1):
-        views = torch.nonzero(batch["room"] == room)[:, 0]
-        maps = aligner.logits(spectra.source[views], spectra.target[views])
-        pairs = batch["room"][batch["source"]] == room
-        source, target = (batch[side][pairs] - views[0] for side in ("source", "target"))
-        found.append(maps[source, target])
-    return torch.cat(found)
+    room, source, target = batch["room"], batch["source"], batch["target"]
+    out = []
+    for number in range(int(room.max()) + 1):
+        pairs = torch.nonzero(room[source] == number)[:, 0]
+        sources, row = torch.unique(source[pairs], return_inverse=True)
+        targets, column = torch.unique(target[pairs], return_inverse=True)
+        maps = aligner.logits(spectra.source[sources], spectra.target[targets])
+        out.append((pairs, maps[row, column]))
+    order, found = (torch.cat(parts) for parts in zip(*out, strict=True))
+    return found[order.argsort()]
+
+
+def joint_view(drawn: DrawnRooms, group: Sequence[int]) -> Drawing:
+    """Views of a room drawn together on the grid of the first."""
+    first, *others = group
+    poses = [drawn.target_T_source(other, first) for other in others]
+    drawings = [drawn.drawings[other] for other in others]
+    return joint_drawing(drawn.drawings[first], drawings, np.reshape(poses, (-1, 4, 4)))
 
 
 def _peaks(logits: Tensor) -> tuple[Tensor, Tensor]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from fewview import weights
-from fewview.alignment import Drawing, draw, drawing
+from fewview.alignment import Drawing, draw, drawing, planar_motion
 from fewview.completion import layout as layout_completion
 from fewview.completion.layout.complete import NAME, completed_layouts
 from fewview.completion.layout.network import LayoutNetwork, LayoutNetworkConfig
@@ -80,6 +80,11 @@ class DrawnRooms:
     def apart(self, a: int, b: int) -> bool:
         """Whether two views of one room share less than a tenth of their surface."""
         return bool(self._shared[a][b - self._first[b]] < APART)
+
+    def motion(self, a: int, b: int) -> FloatArray:
+        """(1, 3) true yaw and shift from the grid of view ``a`` to that of view ``b``."""
+        pose = self.target_T_source(a, b)[None]
+        return planar_motion(self.drawings[a], self.drawings[b], pose)
 
     def target_T_source(self, a: int, b: int) -> Array:
         """(4, 4) from the level frame of view ``a`` to that of view ``b``."""

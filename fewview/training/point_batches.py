@@ -29,7 +29,6 @@ class RoomPoints:
 
     Attributes:
         batch: what the networks are given.
-        pixels: (B, N) flat ring pixel of each point, 0 where not valid.
         turns: (B, 3, 3) from the level frames to the true wall frames.
         tilts: (B, 3, 3) rotation of the given points against the true wall frame.
         floor: (B, 3) h, a, b of the floor z = h + a x + b y as the tilted points have it.
@@ -38,7 +37,6 @@ class RoomPoints:
     """
 
     batch: PointBatch
-    pixels: IntArray
     turns: Array
     tilts: Array
     floor: Tensor
@@ -64,11 +62,10 @@ def room_points(
     views = [(room, v) for room in rooms for v in range(len(room.depth))]
     normals = ring_normals(torch.from_numpy(np.concatenate([r.measured for r in rooms])))
     normal_images = normals.permute(0, 2, 3, 1).numpy()
-    scans, pixels = [], []
+    scans = []
     for (room, v), normal in zip(views, normal_images, strict=True):
         chosen = choose_pixels(room.measured[v], rng, count)
         scans.append(points_of(room.measured[v], room.colour[v], normal, chosen, count))
-        pixels.append(np.resize(chosen, count) if len(chosen) else np.zeros(count, np.int64))
     tilts = se3.rotation_exp(np.radians(rng.normal(0, tilt_deg, (len(views), 3))) * [1, 1, 0])
     level_T_world = np.concatenate([room.level_T_world for room in rooms])
     batch = PointBatch.of(scans)
@@ -77,7 +74,6 @@ def room_points(
     batch = batch._replace(points=batch.points @ turn, normals=batch.normals @ turn)
     return RoomPoints(
         batch=batch,
-        pixels=np.stack(pixels),
         turns=turns,
         tilts=tilts,
         floor=torch.from_numpy(_floors(rooms, tilts)),

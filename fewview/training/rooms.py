@@ -154,17 +154,22 @@ def loader(batches: RoomBatches, steps: range, jobs: int) -> DataLoader[Batch]:
 
 
 def source_of(config: TrainConfig) -> RoomSource:
-    """Where a run's rooms come from; stored ones lie in a folder of what makes them.
+    """Where a run's rooms come from. With a store they are kept as they are made, and what a
+    problem prepares of them beside them, each in a folder of what makes them.
 
     Raises:
         FewviewError: the library's folder holds no furniture models.
     """
     library = synthetic.read_library(Path(config.library)) if config.library else None
-    source = config.settings.prepared(partial(generated, library=library))
+    made: RoomSource = partial(generated, library=library)
     if not config.store:
-        return source
-    makes = [generator_fingerprint(library), config.settings.preparation()]
-    return Stored(Path(config.store) / "-".join(filter(None, makes)), source)
+        return config.settings.prepared(made)
+    folder = Path(config.store) / generator_fingerprint(library)
+    source = config.settings.prepared(Stored(folder, made))
+    preparation = config.settings.preparation()
+    return (
+        Stored(folder.with_name(f"{folder.name}-{preparation}"), source) if preparation else source
+    )
 
 
 def _narrowed(array: np.ndarray) -> np.ndarray:

@@ -55,7 +55,8 @@ def structure_batch(
     slots = wall_slots(truth)
     views = [(room, v) for room in rooms for v in range(len(room.depth))]
     of_points = [
-        _true_points(*view, pixels) for view, pixels in zip(views, scans.pixels, strict=True)
+        _true_points(*view, pixels)
+        for view, pixels in zip(views, scans.batch.pixels.numpy(), strict=True)
     ]
     label, normal, surface = (np.stack(column) for column in zip(*of_points, strict=True))
     label = np.where(scans.batch.valid.numpy(), label, -1)

@@ -86,7 +86,7 @@ class PoseCandidate:
     """One of the K answers for a pair.
 
     Attributes:
-        rank: 0 for the most probable.
+        rank: 0 for the first of the pair; see `choice`.
         target_T_source: (4, 4).
         score: spectral score of its correspondence set.
         probability: calibrated 0..1 that it is within 15 degrees and 0.3 m of the truth.

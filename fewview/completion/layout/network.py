@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from fewview.completion.layout.grid import CLASSES, location_channels
+from fewview.completion.layout.image import ImageFeatures
 from fewview.completion.layout.pointnet import PointBatch, PointFeatures, SplitLinear
 from fewview.completion.layout.pooling import BINS, heights_over, pooled, seen_through
 from fewview.completion.layout.unet import EncoderDecoder
@@ -31,6 +32,8 @@ class LayoutNetworkConfig:
     """Channels of the encoder-decoder at full size, a multiple of 8."""
     point_features: int = 16
     """Channels that each point brings into the grid."""
+    image: int = 32
+    """Channels of the image branch, a multiple of 8."""
 
 
 class LayoutOutput(NamedTuple):
@@ -63,7 +66,8 @@ class LayoutNetwork(nn.Module):
     def __init__(self, config: LayoutNetworkConfig = LayoutNetworkConfig()) -> None:
         super().__init__()
         self.config = config
-        self.features = PointFeatures(local=48, whole=128)
+        self.image = ImageFeatures(config.image)
+        self.features = PointFeatures(local=48, whole=128, image=config.image)
         self.floor = nn.Sequential(nn.Linear(128, 64), nn.ReLU(), nn.Linear(64, 3))
         self.mixed = SplitLinear(48 + 1, 128, 48)
         self.out = nn.Sequential(nn.ReLU(), nn.Linear(48, config.point_features), nn.ReLU())
@@ -75,7 +79,8 @@ class LayoutNetwork(nn.Module):
 
     def forward(self, batch: PointBatch) -> LayoutOutput:
         """Complete the layouts of several scans."""
-        near, whole = self.features(batch)
+        image = self.image(batch.ring_colour, batch.ring_depth, batch.pixels)
+        near, whole = self.features(batch, image)
         scale = whole.new_tensor([1.0, SLOPE_SCALE, SLOPE_SCALE])
         floor = whole.new_tensor(TYPICAL_FLOOR) + scale * self.floor(whole)
         height = heights_over(floor.detach(), batch.points)

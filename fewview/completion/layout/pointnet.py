@@ -19,16 +19,21 @@ class PointBatch(NamedTuple):
     """Points of several scans; see `ScanPoints`.
 
     Attributes:
-        points: (B, N, 3); colours: (B, N, 3); normals: (B, N, 3); valid: (B, N) bool.
+        points: (B, N, 3); colours: (B, N, 3); normals: (B, N, 3); valid: (B, N) bool;
+        pixels: (B, N).
         field_of_view: (B, CELLS, CELLS) bool; heading: (B,).
+        ring_colour: (B, S, 4 S, 3) uint8; ring_depth: (B, S, 4 S).
     """
 
     points: Tensor
     colours: Tensor
     normals: Tensor
     valid: Tensor
+    pixels: Tensor
     field_of_view: Tensor
     heading: Tensor
+    ring_colour: Tensor
+    ring_depth: Tensor
 
     @staticmethod
     def of(scans: Sequence[ScanPoints]) -> PointBatch:
@@ -66,16 +71,17 @@ class SplitLinear(nn.Module):
 class PointFeatures(nn.Module):
     """Per-point features and their maximum over the scan."""
 
-    def __init__(self, local: int, whole: int) -> None:
+    def __init__(self, local: int, whole: int, image: int) -> None:
         super().__init__()
-        self.near = nn.Sequential(
-            nn.Linear(INPUTS, local), nn.ReLU(), nn.Linear(local, local), nn.ReLU()
-        )
+        self.own = nn.Linear(INPUTS, local)
+        self.around = nn.Linear(image, local, bias=False)
+        self.near = nn.Sequential(nn.ReLU(), nn.Linear(local, local), nn.ReLU())
         self.far = nn.Sequential(nn.Linear(local, whole), nn.ReLU())
         self.norm = nn.LayerNorm(whole)
 
-    def forward(self, batch: PointBatch) -> tuple[Tensor, Tensor]:
-        """(B, N, local) features of the points and (B, whole) of the scans."""
-        near = self.near(batch.inputs)
+    def forward(self, batch: PointBatch, image: Tensor) -> tuple[Tensor, Tensor]:
+        """(B, N, local) features of the points and (B, whole) of the scans, from what the points
+        are and the `ImageFeatures` (B, N, image) around them."""
+        near = self.near(self.own(batch.inputs) + self.around(image))
         far = self.far(near) * batch.valid[..., None]
         return near, self.norm(far.amax(dim=1))

@@ -32,18 +32,23 @@ class ScanPoints:
         colours: (n, 3) float32 RGB in 0..1.
         normals: (n, 3) float32 unit, wall frame, towards the camera; zero where unknown.
         valid: (n,) bool; False in rows that only fill up an empty scan.
+        pixels: (n,) flat pixel of the ring that each point is.
         field_of_view: (CELLS, CELLS) bool, cells in a direction that the camera looked in.
         heading: () float32, azimuth of the camera's heading in the wall frame, radians.
         wall_R_level: (3, 3) float32 from the level frame of the ring to the wall frame.
+        ring_colour: (S, 4 S, 3), ring_depth: (S, 4 S) metres: the ring.
     """
 
     points: FloatArray
     colours: FloatArray
     normals: FloatArray
     valid: BoolArray
+    pixels: IntArray
     field_of_view: BoolArray
     heading: FloatArray
     wall_R_level: FloatArray
+    ring_colour: NDArray[np.uint8]
+    ring_depth: FloatArray
 
 
 def scan_points(ring: RingScan, rng: np.random.Generator, count: int = POINTS) -> ScanPoints:
@@ -91,9 +96,12 @@ def points_of(
         colours=colour.reshape(-1, 3)[rows].astype(np.float32) / np.float32(255.0) * mask,
         normals=np.asarray(normal @ wall_R_level.T, dtype=np.float32),
         valid=valid,
+        pixels=rows,
         field_of_view=field_of_view(azimuths),
         heading=np.array(heading + turn, dtype=np.float32),
         wall_R_level=wall_R_level,
+        ring_colour=colour,
+        ring_depth=depth,
     )
 
 

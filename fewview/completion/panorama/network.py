@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from fewview.completion.panorama.blocks import ResidualBlock, doubled
 from fewview.completion.panorama.ring import ring_normals, ring_rays, unit
 from fewview.types import FloatArray
 
@@ -39,7 +39,6 @@ NORMALS = slice(4, 7)
 STEM = 4
 COARSE = 2
 GEOMETRY = (1, 1, 3, 1)
-GROUPS = 8
 TYPICAL_LOG_DEPTH = 0.7
 LOG_SCALE_RANGE = (-5.0, 2.0)
 SNAP = 4
@@ -131,7 +130,7 @@ class PanoramaNetwork(nn.Module):
             x = down(x)
         x = self.bottom(x)
         for block, fuse in zip(reversed(self.decoder), reversed(self.fuse), strict=True):
-            x = block(fuse(torch.cat([skips.pop(), _doubled(x)], dim=1)))
+            x = block(fuse(torch.cat([skips.pop(), doubled(x)], dim=1)))
         depth, scale, normal, gate = self.geometry(x).float().split(GEOMETRY, dim=1)
         semantics, descriptor = self.meaning(x).float().tensor_split((len(CLASSES),), dim=1)
         return RingPrediction(
@@ -141,38 +140,6 @@ class PanoramaNetwork(nn.Module):
             semantics,
             descriptor,
         )
-
-
-class RingConv(nn.Module):
-    """A 3 x 3 convolution that wraps around horizontally."""
-
-    def __init__(self, inputs: int, outputs: int) -> None:
-        super().__init__()
-        self.conv = nn.Conv2d(inputs, outputs, 3, padding=(1, 0))
-
-    def forward(self, x: Tensor) -> Tensor:
-        wrapped = torch.cat([x[..., -1:], x, x[..., :1]], dim=-1)
-        out: Tensor = self.conv(wrapped)
-        return out
-
-
-class ResidualBlock(nn.Module):
-    """Two normalised ring convolutions added to their input."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.layers = nn.Sequential(
-            nn.GroupNorm(GROUPS, width),
-            nn.ReLU(),
-            RingConv(width, width),
-            nn.GroupNorm(GROUPS, width),
-            nn.ReLU(),
-            RingConv(width, width),
-        )
-
-    def forward(self, x: Tensor) -> Tensor:
-        out: Tensor = x + self.layers(x)
-        return out
 
 
 def ring_tensors(colour: NDArray[np.uint8], depth: FloatArray) -> Tensor:
@@ -185,7 +152,3 @@ def _snapped(free: Tensor, gate: Tensor) -> Tensor:
     free = unit(free)
     steep = free.sign() * free.abs().pow(SNAP)
     return unit(free + gate.sigmoid() * (unit(steep) - free))
-
-
-def _doubled(x: Tensor) -> Tensor:
-    return F.interpolate(x, scale_factor=2.0, mode="nearest")

@@ -15,6 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from fewview.completion.layout.image import ImageFeatures
 from fewview.completion.layout.pointnet import PointBatch, PointFeatures, SplitLinear
 from fewview.completion.panorama.network import CLASSES
 from fewview.completion.structure import anchors
@@ -37,6 +38,8 @@ class StructureNetworkConfig:
     """Channels of a scan."""
     sector: int = 128
     """Channels of a sector of azimuth."""
+    image: int = 32
+    """Channels of the image branch, a multiple of 8."""
 
 
 class PointPrediction(NamedTuple):
@@ -90,7 +93,8 @@ class StructureNetwork(nn.Module):
         super().__init__()
         self.config = config
         local, whole, sector = config.local, config.whole, config.sector
-        self.points = PointFeatures(local, whole)
+        self.image = ImageFeatures(config.image)
+        self.points = PointFeatures(local, whole, config.image)
         self.mixed = SplitLinear(local, whole, local)
         self.point_head = nn.Sequential(
             nn.ReLU(),
@@ -98,7 +102,7 @@ class StructureNetwork(nn.Module):
             nn.ReLU(),
             nn.Linear(local, 7 + len(CLASSES) + DESCRIPTOR),
         )
-        self.scene = PointFeatures(local, whole)
+        self.scene = PointFeatures(local, whole, config.image)
         self.sector = SplitLinear(FINE * (BINS + 1) + 2, whole, sector)
         self.around = nn.ModuleList(
             nn.Conv1d(sector, sector, KERNEL, padding=KERNEL // 2, padding_mode="circular")
@@ -112,11 +116,12 @@ class StructureNetwork(nn.Module):
 
     def forward(self, batch: PointBatch) -> tuple[PointPrediction, WallPrediction, LevelPrediction]:
         """Predict the planes of several scans."""
-        _, whole = self.scene(batch)
-        return self._of_points(batch), self._walls(batch, whole), self._levels(batch, whole)
+        image = self.image(batch.ring_colour, batch.ring_depth, batch.pixels)
+        _, whole = self.scene(batch, image)
+        return self._of_points(batch, image), self._walls(batch, whole), self._levels(batch, whole)
 
-    def _of_points(self, batch: PointBatch) -> PointPrediction:
-        near, whole = self.points(batch)
+    def _of_points(self, batch: PointBatch, image: Tensor) -> PointPrediction:
+        near, whole = self.points(batch, image)
         out = self.point_head(self.mixed(near, whole))
         normal, offset, scale, semantics, descriptor = out.split(
             [3, 3, 1, len(CLASSES), DESCRIPTOR], dim=-1
