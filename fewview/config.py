@@ -83,6 +83,8 @@ class RefinementConfig:
     """Weight of a matched feature against a nearest neighbour."""
     alpha_match_m: float = 0.05
     """Scale of the matched features' term."""
+    settle_m: float = 0.3
+    """How far a pose from outside is expected to be off where completed rooms correct it."""
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from fewview.matching.prepared import PreparedScan, aligned
 from fewview.matching.spectral import agreeing, top_poses
 from fewview.probability import ProbabilityModel, shipped_model
 from fewview.refinement import evidence
-from fewview.refinement.regression import Matches, Refined, refine
-from fewview.refinement.relations import PatchRelations
+from fewview.refinement.local import refine_related
+from fewview.refinement.regression import Matches, Refined
 from fewview.types import (
     Array,
     BoolArray,
@@ -167,14 +167,6 @@ def _propose(
     return stacked, origins, np.array([score for _, score in poses])
 
 
-def refine_alone(
-    source: PreparedScan, target: PreparedScan, target_T_source: Array, config: Config
-) -> Array:
-    """The local module by itself: (K, 4, 4) poses refined without any matched features."""
-    matches = stack(source.scan, target.scan, [], 0)
-    return _refine(source, target, target_T_source, matches, config).target_T_source
-
-
 def _refine(
     source: PreparedScan,
     target: PreparedScan,
@@ -182,19 +174,11 @@ def _refine(
     matches: CandidateMatches,
     config: Config,
 ) -> Refined:
-    """The local module: relations under the initial poses, then robust regression."""
-    relations = PatchRelations().predict(source.scan, target.scan, poses)
+    """The local module, held by the matched features that agree with each pose."""
     fixed = matches.scale("fixed_point") > 0
     weight = (_support(matches, poses) & fixed).astype(np.float64)
     anchors = Matches(matches.source, matches.target, weight)
-    return refine(
-        (source.scan.surface, source.tree),
-        (target.scan.surface, target.tree),
-        poses,
-        relations,
-        anchors,
-        config.refinement,
-    )
+    return refine_related(source, target, poses, anchors, config.refinement)
 
 
 def _support(matches: CandidateMatches, poses: Array) -> BoolArray:

@@ -110,6 +110,18 @@ def test_the_probability_around_a_proposed_pose_is_its_own(network: AlignerNetwo
     assert np.exp(alignment.log_yaw(np.stack(yaws))).sum() == pytest.approx(1.0, abs=1e-3)
 
 
+def test_a_pose_near_the_best_settles_there_and_one_far_away_stays(
+    network: AlignerNetwork,
+) -> None:
+    alignment = Alignment(embedded((10, 12)), embedded((14, 9)), network)
+    best = pose_of(EMPTY, EMPTY, 0.0, -STEP_M * np.array([4, -3]))
+    askew = best @ se3.exp(np.array([0.1, -0.05, 0.3, 0.15, -0.2, 0.0]))
+    beyond = pose_of(EMPTY, EMPTY, np.pi / 2, np.array([9.0, 0.0]))
+    turn, shift = se3.distance(alignment.near(np.stack([askew, beyond]), 0.3), best)
+    assert turn[0] < 1e-6 and shift[0] < 0.5 * STEP_M
+    np.testing.assert_allclose(alignment.near(beyond[None], 0.3)[0], beyond, atol=STEP_M / 2)
+
+
 def test_poses_out_of_reach_and_oblique_ones_are_impossible(network: AlignerNetwork) -> None:
     alignment = Alignment(embedded((10, 12)), embedded((14, 9)), network)
     far = pose_of(EMPTY, EMPTY, 0.0, np.array([9.0, 0.0]))

@@ -40,6 +40,8 @@ ALLOWED: Mapping[str, set[str]] = {
         "completion",
         "alignment",
         "verification",
+        "matching",
+        "refinement",
         "synthetic",
         "evaluation",
         "config",

@@ -19,7 +19,8 @@ from fewview.config import Config, FeatureConfig, merge
 from fewview.errors import ConfigError
 from fewview.geometry import se3
 from fewview.matching.prepared import prepare
-from fewview.pairwise import match_pair, refine_alone
+from fewview.pairwise import match_pair
+from fewview.refinement.local import refine_alone
 from fewview.types import (
     CompletedScan,
     Frame,
@@ -163,7 +164,7 @@ def test_local_module_alone_brings_a_scan_back_onto_itself(
 ) -> None:
     scan = prepare(completed[0])
     start = se3.exp(np.array([[0.03, -0.02, 0.02, 0.05, -0.04, 0.05]]))
-    refined = refine_alone(scan, scan, start, Config())
+    refined = refine_alone(scan, scan, start, Config().refinement)
     angle, shift = se3.distance(refined, np.eye(4))
     assert np.degrees(angle[0]) < 0.5 and shift[0] < 0.02
 

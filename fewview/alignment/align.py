@@ -29,6 +29,9 @@ NAME = "aligner"
 QUARTER = np.pi / 2
 PEAK_RADIUS = 2
 MAX_YAW = float(np.radians(20.0))
+NEAR_SPREADS = 3.0
+"""How many times the spread poses look around themselves."""
+TINY = 1e-30
 NEVER = -20.0
 """Logarithm of the probability of poses that the aligner cannot express."""
 
@@ -121,6 +124,32 @@ class Alignment:
         motion = planar_motion(self.source, self.target, target_T_source)
         turns = np.rint(motion[:, 0] / QUARTER).astype(np.int64) % YAWS
         return np.asarray(np.log(np.maximum(self.yaws[turns], np.exp(NEVER))), dtype=np.float64)
+
+    def near(self, target_T_source: Array, spread_m: float) -> Array:
+        """Levelled poses (K, 4, 4) near (K, 4, 4) ones: with the nearest quarter turn as their yaw,
+        and the mean shift under the probability of that yaw times a Gaussian of ``spread_m`` around
+        the shift."""
+        motion = planar_motion(self.source, self.target, target_T_source).astype(np.float64)
+        turns, start = np.rint(motion[:, 0] / QUARTER).astype(np.int64), motion[:, 1:, None]
+        reach = int(NEAR_SPREADS * spread_m / STEP_M)
+        cells = np.rint(-start / STEP_M).astype(np.int64) + np.arange(-reach, reach + 1)
+        shift = -STEP_M * cells
+        rows, columns = (cells % SHIFTS).swapaxes(0, 1)
+        mass = self.mass[turns[:, None, None] % YAWS, rows[:, :, None], columns[:, None, :]]
+        within = np.abs(cells) < SHIFTS // 2
+        mass = np.where(within[:, 0, :, None] & within[:, 1, None, :], mass, 0.0)
+        bell = np.exp(-0.5 * ((shift - start) / spread_m) ** 2)
+        weight = np.maximum(mass, TINY) * bell[:, 0, :, None] * bell[:, 1, None, :]
+        along = [weight.sum(axis=2), weight.sum(axis=1)]
+        mean = [
+            (w * s).sum(axis=1) / w.sum(axis=1)
+            for w, s in zip(along, shift.swapaxes(0, 1), strict=True)
+        ]
+        poses = [
+            pose_of(self.source, self.target, turn * QUARTER, at)
+            for turn, at in zip(turns, np.stack(mean, axis=1), strict=True)
+        ]
+        return np.array(poses).reshape(-1, 4, 4)
 
     def _peak(self, yaw: int, row: int, column: int) -> Array:
         """The centre of the probability around a cell, metres."""

@@ -97,10 +97,10 @@ def refine(
     poses = target_T_source.copy()
     step = np.full((len(poses), 6), np.inf)
     radii = config.neighbour_m
-    pairs = _neighbours(source, target, poses, radii[0])
+    pairs = neighbours(source, target, poses, radii[0])
     for alternation in range(config.iterations):
         if alternation:
-            pairs = _neighbours(source, target, poses, radii[min(alternation, len(radii) - 1)])
+            pairs = neighbours(source, target, poses, radii[min(alternation, len(radii) - 1)])
         for _ in range(config.gauss_newton_steps):
             terms = list(_terms(poses, pairs, relations, matches, config))
             step = _gauss_newton_step(terms)
@@ -113,7 +113,7 @@ def refine(
 
 
 @dataclass(frozen=True)
-class _Neighbours:
+class Neighbours:
     """Nearest pairs (K, n): points and normals of either side, and 1 where near enough."""
 
     source: Array
@@ -123,13 +123,19 @@ class _Neighbours:
     weight: Array
 
 
-def _neighbours(
+def neighbours(
     searchable_source: tuple[Surface, cKDTree],
     searchable_target: tuple[Surface, cKDTree],
     poses: Array,
     radius: float,
-) -> _Neighbours:
-    """Nearest neighbours from source to target and from target to source."""
+) -> Neighbours:
+    """Nearest neighbours of K poses, from source to target and from target to source.
+
+    Args:
+        searchable_source, searchable_target: a surface and the k-d tree of its points.
+        poses: (K, 4, 4) target_T_source.
+        radius: largest distance, metres.
+    """
     (source, source_tree), (target, target_tree) = searchable_source, searchable_target
     s, t = _subset(len(source.points)), _subset(len(target.points))
     inverse = se3.inverse(poses)
@@ -146,7 +152,7 @@ def _neighbours(
     source_normals = joined(source.normals, s, backward, True)
     target_normals = joined(target.normals, t, forward, False)
     cosine = (se3.rotate(poses, source_normals) * target_normals).sum(axis=-1)
-    return _Neighbours(
+    return Neighbours(
         joined(source.points, s, backward, True),
         source_normals,
         joined(target.points, t, forward, False),
@@ -171,7 +177,7 @@ def _query(tree: cKDTree, points: Array, radius: float) -> tuple[np.ndarray, np.
 
 def _terms(
     poses: Array,
-    pairs: _Neighbours,
+    pairs: Neighbours,
     relations: Relations,
     matches: Matches,
     config: RefinementConfig,

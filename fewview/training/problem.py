@@ -21,6 +21,7 @@ PROBLEMS: Mapping[str, tuple[str, str]] = {
     "aligner": ("fewview.training.aligner", "AlignerProblem"),
     "layout": ("fewview.training.layout", "LayoutProblem"),
     "panorama": ("fewview.training.panorama", "PanoramaProblem"),
+    "relation": ("fewview.training.relation", "RelationProblem"),
     "structure": ("fewview.training.structure", "StructureProblem"),
     "verifier": ("fewview.training.verifier", "VerifierProblem"),
 }

@@ -13,6 +13,13 @@ from benchmark.code import fingerprint
 from benchmark.methods.interface import PairMethod
 
 OURS = "benchmark.methods.ours"
+LOCAL_LABELS: Mapping[str, str] = {
+    "icp": "ICP",
+    "gicp": "GICP",
+    "sparse_icp": "SparseICP",
+    "ours": "Ours-Local",
+}
+"""Keys of `benchmark.methods.local.LOCALS`, as tables print them."""
 
 
 def key_of(name: str, settings: object, modules: Sequence[str]) -> str:

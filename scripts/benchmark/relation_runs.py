@@ -96,10 +96,9 @@ class RelationTask:
         truth = relative(poses[self.source], poses[self.target])
         key = zlib.crc32(f"{self.scene.name} {self.source} {self.target}".encode())
         rng = np.random.default_rng([self.seed, key])
-        built = {name: predict for name, predict in PREDICTORS.items() if predict is not None}
         if not (len(source.truth.points) and len(target.truth.points)):
             return Record([], {})
-        found = [judge(source, target, truth, rng, built) for _ in range(PERTURBATIONS)]
+        found = [judge(source, target, truth, rng, PREDICTORS) for _ in range(PERTURBATIONS)]
         return Record(found, {})
 
     def judged(self) -> list[Judged]:

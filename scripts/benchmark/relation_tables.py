@@ -11,7 +11,7 @@ from benchmark.pairs import Pair
 from benchmark.relation_runs import CEILING, Judged
 from benchmark.relations import PREDICTORS
 from benchmark.scoring import OVERLAPS, yaw_classes
-from benchmark.table import NOT_BUILT, Json, Table
+from benchmark.table import Json, Table
 from fewview.evaluation.relations import Relation, accuracies, row_shares
 from fewview.types import Array, IntArray
 
@@ -71,8 +71,7 @@ def summarise(rows: Sequence[Json], from_mesh: bool) -> Json:
         from_mesh: labels come from true meshes; else `CEILING` is left out, because its normals
             are then those of the labels.
     """
-    names = [name for name, predict in PREDICTORS.items() if predict is not None]
-    names += [CEILING] if from_mesh else []
+    names = [*PREDICTORS, *([CEILING] if from_mesh else [])]
     members = {name: [row for row in rows if fits(row)] for name, fits in groups().items()}
     return {group: _group(found, names) for group, found in members.items() if found}
 
@@ -137,20 +136,16 @@ def _accuracy_table(summary: Json, where: str) -> Table:
 
 
 def _accuracy_line(name: str, found: Mapping[str, Any]) -> list[list[str]]:
-    if name in found:
-        scores = found[name]
-        return [[name, *map(_cell, (*scores["accuracy"].values(), scores["mean"]))]]
-    return [[name, *[NOT_BUILT] * (len(CLASSES) + 1)]] if name in PREDICTORS else []
+    if name not in found:
+        return []
+    scores = found[name]
+    return [[name, *map(_cell, (*scores["accuracy"].values(), scores["mean"]))]]
 
 
 def _confusion_table(group: Json, where: str) -> Table:
     lines: list[list[str]] = []
     for name in SHOWN:
-        if name in group["predictors"]:
-            shares = row_shares(np.array(group["predictors"][name]["counts"]))
-            lines += _matrix(name, shares)
-        else:
-            lines.append([f"{name}: {NOT_BUILT}"])
+        lines += _matrix(name, row_shares(np.array(group["predictors"][name]["counts"])))
     lines += _matrix("the paper", np.array(PAPER_CONFUSION))
     note = f"Rows: the label; columns: the prediction, shares of the row. {PAPER_NOTE}"
     return Table(f"Confusion matrices, {where}", note, ["label", *CLASSES], lines)

@@ -18,6 +18,8 @@ from fewview.evaluation.relations import (
     Relation,
     read_relations,
 )
+from fewview.executor import single_threaded_libraries
+from fewview.refinement.learned_relations import LearnedRelations
 from fewview.refinement.relations import PatchRelations
 from fewview.types import Array, CompletedScan, IntArray
 
@@ -95,17 +97,32 @@ def chance(
     return np.random.default_rng(0).integers(len(Relation), size=len(source_index))
 
 
+def relation_network(
+    source: CompletedScan,
+    target: CompletedScan,
+    target_T_source: Array,
+    source_index: IntArray,
+    target_index: IntArray,
+) -> IntArray:
+    """The most probable class under the shipped relation network."""
+    with single_threaded_libraries():
+        chance = LearnedRelations().of_surface(
+            source, target, target_T_source[None], source_index, target_index
+        )
+    return np.asarray(chance[0].argmax(axis=-1), dtype=np.int64)
+
+
 LABEL_RULES = Rules(MAX_ANGLE_DEG, MAX_OFFSET_M)
 """The tolerances that make the labels."""
-PREDICTORS: Mapping[str, Predictor | None] = {
+PREDICTORS: Mapping[str, Predictor] = {
     "chance": chance,
     "rules, 5 deg / 0.05 m": LABEL_RULES,
     "rules, 15 deg / 0.3 m": Rules(15.0, 0.3),
     "rules, 30 deg / 1 m": Rules(30.0, 1.0),
     "planar patches": planar_patches,
-    "relation network": None,
+    "relation network": relation_network,
 }
-"""Row names and what is behind them; None is not built.
+"""Row names and what is behind them.
 
 The tolerances of the rules are those of the labels, of a right pose, and of the perturbation (on
 validation rooms about the best mean accuracy that rules reach).

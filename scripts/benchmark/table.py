@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 Json = dict[str, Any]
-NOT_BUILT = "not built"
-"""What a row says whose method does not exist yet."""
 
 
 @dataclass(frozen=True)

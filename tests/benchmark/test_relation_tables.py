@@ -1,4 +1,4 @@
-"""Relation results: groups, floors, rows that are not built, and what a rerun gives."""
+"""Relation results: groups, floors, and what a rerun gives."""
 
 from __future__ import annotations
 
@@ -23,10 +23,9 @@ from benchmark.relations import PREDICTORS
 from benchmark.rooms import rooms
 from benchmark.scenes import Scene
 from benchmark.store import Record, Store
-from benchmark.table import NOT_BUILT
 from fewview.evaluation.relations import Relation
 
-NAMES = [name for name, predict in PREDICTORS.items() if predict is not None] + [CEILING]
+NAMES = [*PREDICTORS, CEILING]
 COUNTS = np.array([[6, 2, 0, 0], [1, 3, 0, 0], [0, 0, 0, 0], [0, 0, 5, 15]])
 
 
@@ -81,14 +80,6 @@ def test_the_majority_is_that_of_the_labels() -> None:
 def test_measured_labels_have_no_ceiling() -> None:
     assert CEILING in summary()["all"]["predictors"]
     assert CEILING not in summary(from_mesh=False)["all"]["predictors"]
-
-
-def test_a_row_that_is_not_built_has_no_number() -> None:
-    accuracy, confusion = tables(summary(), "here")
-    found = [row for row in accuracy.rows if row[0] == "relation network"]
-    assert len(found) == len(summary())
-    assert all(set(row[1:]) == {NOT_BUILT} for row in found)
-    assert [f"relation network: {NOT_BUILT}"] in confusion.rows
 
 
 def test_the_papers_numbers_stand_once_beside_ours() -> None:

@@ -17,7 +17,7 @@ from fewview.completion import complete
 from fewview.config import Config
 from fewview.executor import single_threaded_libraries
 from fewview.matching.prepared import PreparedScan, prepare
-from fewview.pairwise import refine_alone
+from fewview.refinement.local import refine_alone
 from fewview.types import Array, Frame
 
 ICP_DISTANCE_M = 0.2
@@ -27,10 +27,19 @@ ICP_ITERATIONS = 50
 
 @dataclass(frozen=True)
 class Local:
-    """``refine`` takes two prepared scans and a (4, 4) target_T_source and gives a better one."""
+    """``refine`` takes two prepared scans and (K, 4, 4) target_T_source and gives better ones."""
 
     prepare: Callable[[Frame, int], Any]
     refine: Callable[[Any, Any, Array], Array]
+
+
+def _each(refine: Callable[[Any, Any, Array], Array]) -> Callable[[Any, Any, Array], Array]:
+    """A refinement of one (4, 4) pose as one of several."""
+
+    def refine_all(source: Any, target: Any, poses: Array) -> Array:
+        return np.array([refine(source, target, pose) for pose in poses]).reshape(-1, 4, 4)
+
+    return refine_all
 
 
 class Refined(PairMethod):
@@ -55,11 +64,14 @@ class Refined(PairMethod):
 
     def match(self, source: Any, target: Any) -> Answer:
         answer = self.base.match(source[0], target[0])
-        refined = (
-            replace(c, target_T_source=self.local.refine(source[1], target[1], c.target_T_source))
-            for c in answer.candidates
+        poses = np.array([c.target_T_source for c in answer.candidates]).reshape(-1, 4, 4)
+        refined = self.local.refine(source[1], target[1], poses)
+        return Answer(
+            tuple(
+                replace(candidate, target_T_source=pose)
+                for candidate, pose in zip(answer.candidates, refined, strict=True)
+            )
         )
-        return Answer(tuple(refined))
 
 
 def _cloud(frame: Frame, turn: int) -> o3d.geometry.PointCloud:
@@ -101,14 +113,14 @@ def _completed(frame: Frame, turn: int) -> PreparedScan:
         return prepare(complete("", frame, turn, Config().features, 0))
 
 
-def _ours(source: PreparedScan, target: PreparedScan, pose: Array) -> Array:
+def _ours(source: PreparedScan, target: PreparedScan, poses: Array) -> Array:
     with single_threaded_libraries():
-        return np.asarray(refine_alone(source, target, pose[None], Config())[0])
+        return refine_alone(source, target, poses, Config().refinement)
 
 
 LOCALS = {
-    "icp": Local(_cloud, _point_to_plane),
-    "gicp": Local(_cloud, _generalised),
-    "sparse_icp": Local(_cloud, _sparse),
+    "icp": Local(_cloud, _each(_point_to_plane)),
+    "gicp": Local(_cloud, _each(_generalised)),
+    "sparse_icp": Local(_cloud, _each(_sparse)),
     "ours": Local(_completed, _ours),
 }

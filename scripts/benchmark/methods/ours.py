@@ -14,7 +14,8 @@ from fewview.completion.orientation import Glance, glance, quarter_turns
 from fewview.config import Config, merge
 from fewview.executor import single_threaded_libraries
 from fewview.matching.prepared import PreparedScan, prepare
-from fewview.pairwise import match_pair, refine_alone
+from fewview.pairwise import match_pair
+from fewview.refinement.local import refine_alone
 from fewview.types import Frame, Levelling, PairResult, PairStatus
 
 SEED = 0
@@ -72,5 +73,5 @@ class OursLocal(Ours):
 
     def match(self, source: PreparedScan, target: PreparedScan) -> Answer:
         with single_threaded_libraries():
-            poses = refine_alone(source, target, np.eye(4)[None], self.config)
+            poses = refine_alone(source, target, np.eye(4)[None], self.config.refinement)
         return Answer((Candidate(poses[0]),))
