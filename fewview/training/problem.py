@@ -19,6 +19,7 @@ Room = Any
 """A `RoomSample` or what a problem makes of one: arrays whose first axis counts the views."""
 PROBLEMS: Mapping[str, tuple[str, str]] = {
     "aligner": ("fewview.training.aligner", "AlignerProblem"),
+    "joint": ("fewview.training.joint", "JointProblem"),
     "layout": ("fewview.training.layout", "LayoutProblem"),
     "panorama": ("fewview.training.panorama", "PanoramaProblem"),
     "relation": ("fewview.training.relation", "RelationProblem"),

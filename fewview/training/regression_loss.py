@@ -41,7 +41,8 @@ def regression_loss(problem: RegressionProblem, scales: Mapping[str, Tensor]) ->
 
 
 def minimiser(problem: RegressionProblem, scales: Mapping[str, Tensor]) -> Tensor:
-    """(6,) xi* of one iteration, with its gradient by the implicit function theorem."""
+    """(6,) xi* of one iteration, with its gradient by the implicit function theorem where gradients
+    are asked for."""
     weights = robust_weights(problem, scales)
     hold = damping(problem, weights)
     with torch.no_grad():
@@ -53,15 +54,16 @@ def minimiser(problem: RegressionProblem, scales: Mapping[str, Tensor]) -> Tenso
             xi = xi - step
             if float(step.abs().max()) < CONVERGED:
                 break
+    if not torch.is_grad_enabled():
+        return xi
 
     def energy(at: Tensor) -> Tensor:
         rows = residuals(problem, at)
         terms = [(w * r.square().sum(dim=1)).sum() for w, r in zip(weights, rows, strict=True)]
         return 0.5 * torch.stack(terms).sum() + 0.5 * hold * at.square().sum()
 
-    with torch.enable_grad():
-        at = xi.clone().requires_grad_()
-        (slope,) = torch.autograd.grad(energy(at), at, create_graph=True)
+    at = xi.clone().requires_grad_()
+    (slope,) = torch.autograd.grad(energy(at), at, create_graph=True)
     hessian = torch.func.hessian(energy)(xi).detach()
     found: Tensor = xi - torch.linalg.solve(hessian, slope)
     return found

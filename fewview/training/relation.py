@@ -85,8 +85,10 @@ class RelationProblem(Problem):
         return relation_batch(rooms, amounts, self.tilt_deg, rng)
 
     def losses(self, network: nn.Module, batch: Batch) -> Batch:
+        return self.losses_of(_output(network, batch), batch)
+
+    def losses_of(self, output: RelationOutput, batch: Batch) -> Batch:
         """Cross-entropies of the relations and, as a side task, of the points' classes."""
-        output = _output(network, batch)
         error = F.cross_entropy(output.relations.mT, batch["relation"], reduction="none")
         classes = torch.tensor(self.class_weights, device=error.device)
         return {

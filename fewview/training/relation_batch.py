@@ -15,7 +15,7 @@ from fewview.refinement.relation_points import GREY
 from fewview.training.problem import Batch
 from fewview.training.relation_rooms import RelationRoom
 from fewview.training.relation_views import PREDICTED, SEEN
-from fewview.types import Array, BoolArray, IntArray
+from fewview.types import Array, BoolArray, FloatArray, IntArray
 
 CANDIDATES = 16
 """Random pairs of points for each that is taught."""
@@ -50,7 +50,8 @@ def relation_batch(
 
     Returns:
         what `RelationScans` and `PosedPairs` name, the poses perturbed;
-        ``semantics`` (S, N) the points' true classes;
+        ``true_points``, ``true_normals`` (S, N, 3) of the surface in the points' directions, and
+        ``semantics`` (S, N) its classes; ``true_pose`` (Q, 4, 4);
         ``relation`` (Q, M) the true `Relation` of each point pair, every class as often as the
         others, and ``known`` (Q, M), False in rows of a class that two views do not have.
     """
@@ -62,7 +63,8 @@ def relation_batch(
     tilts = se3.rotation_exp(np.radians(rng.normal(0, tilt_deg, (count, 3))) * [1, 1, 0])
     frames = se3.pose(tilts, np.zeros((count, 3))) @ views["level_T_world"]
     pairs = _view_pairs([len(room.points) for room in rooms], amounts.pairs, rng)
-    target_T_source = [perturbed(frames[b] @ se3.inverse(frames[a]), rng) for a, b in pairs]
+    true_poses = frames[pairs[:, 1]] @ se3.inverse(frames[pairs[:, 0]])
+    target_T_source = [perturbed(pose, rng) for pose in true_poses]
     truth = _Truth(
         views["true_points"][:, rows].astype(np.float64),
         views["true_normals"][:, rows].astype(np.float64),
@@ -76,6 +78,9 @@ def relation_batch(
         "source": pairs[:, 0],
         "target": pairs[:, 1],
         "target_T_source": np.stack(target_T_source).astype(np.float32),
+        "true_pose": true_poses.astype(np.float32),
+        "true_points": views["true_points"][:, rows] @ _back(tilts),
+        "true_normals": views["true_normals"][:, rows] @ _back(tilts),
         "source_point": source_point,
         "target_point": target_point,
         "semantics": (views["semantics"] * views["valid"])[:, rows].astype(np.int64),
@@ -153,7 +158,7 @@ def _view_pairs(views: Sequence[int], most: int, rng: np.random.Generator) -> In
 
 def _inputs(views: dict[str, np.ndarray], rows: IntArray, tilts: Array) -> dict[str, np.ndarray]:
     """What `RelationScans` names, out of what a sensor and a network give."""
-    back = tilts.astype(np.float32).swapaxes(1, 2)
+    back = _back(tilts)
     predicted = views["predicted"][:, rows]
     colours = views["colours"][:, rows].astype(np.float32) / np.float32(255.0)
     return {
@@ -167,3 +172,8 @@ def _inputs(views: dict[str, np.ndarray], rows: IntArray, tilts: Array) -> dict[
         "ring_colour": views["ring_colour"],
         "ring_depth": views["ring_depth"],
     }
+
+
+def _back(tilts: Array) -> FloatArray:
+    """(S, 3, 3) rotations for row vectors."""
+    return tilts.astype(np.float32).swapaxes(1, 2)
