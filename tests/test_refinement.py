@@ -116,6 +116,10 @@ def test_known_pose_is_recovered_for_all_candidates_at_once() -> None:
     assert (before_angle > 3 * angle).all() and (before_shift > 3 * shift).all()
     assert refined.converged.all()
     assert (np.linalg.eigvalsh(refined.covariance) > 0).all()
+    back = se3.adjoint(se3.inverse(refined.target_T_source))
+    inverse = back @ np.linalg.inv(refined.hessian) @ np.swapaxes(back, 1, 2)
+    ratio = refined.covariance[:, range(6), range(6)] / inverse[:, range(6), range(6)]
+    np.testing.assert_allclose(ratio, np.repeat(ratio[:, :1], 6, axis=1), rtol=1e-3)
 
 
 def test_no_iterations_leave_poses_as_proposed_but_say_how_sure_they_are() -> None:

@@ -51,11 +51,13 @@ class Refined:
 
     Attributes:
         target_T_source: (K, 4, 4).
+        hessian: (K, 6, 6) of the energy at the poses by xi in exp(xi) @ target_T_source.
         covariance: (K, 6, 6) of xi in target_T_source @ exp(xi).
         converged: (K,) whether the last step was small.
     """
 
     target_T_source: Array
+    hessian: Array
     covariance: Array
     converged: np.ndarray
 
@@ -93,7 +95,8 @@ def refine(
         config: scales and iteration counts.
     """
     if len(target_T_source) == 0:
-        return Refined(target_T_source, np.zeros((0, 6, 6)), np.zeros(0, dtype=bool))
+        nothing = np.zeros((0, 6, 6))
+        return Refined(target_T_source, nothing, nothing, np.zeros(0, dtype=bool))
     poses = target_T_source.copy()
     step = np.full((len(poses), 6), np.inf)
     radii = config.neighbour_m
@@ -108,8 +111,10 @@ def refine(
             if np.abs(step).max(initial=0.0) < SMALL_STEP:
                 break
     poses[:, :3, :3] = se3.nearest_rotation(poses[:, :3, :3])
-    covariance = _covariance(list(_terms(poses, pairs, relations, matches, config)), poses)
-    return Refined(poses, covariance, np.abs(step).max(axis=1) < 1e-2)
+    terms = list(_terms(poses, pairs, relations, matches, config))
+    hessian, _ = _normal_equations(terms)
+    covariance = _covariance(terms, hessian, poses)
+    return Refined(poses, hessian, covariance, np.abs(step).max(axis=1) < 1e-2)
 
 
 @dataclass(frozen=True)
@@ -288,10 +293,9 @@ def _gauss_newton_step(terms: list[_Term]) -> Array:
     return np.clip(step, -MAX_STEP, MAX_STEP)
 
 
-def _covariance(terms: list[_Term], poses: Array) -> Array:
+def _covariance(terms: list[_Term], hessian: Array, poses: Array) -> Array:
     """Inverse Hessian times the variance of the residuals, neighbouring points counted as one
     independent measurement per `POINTS_PER_INDEPENDENT_ONE`; moved to the source frame."""
-    hessian, _ = _normal_equations(terms)
     weight, energy = np.zeros(len(poses)), np.zeros(len(poses))
     for term in terms:
         robust = np.broadcast_to(term.robust_weight(), term.residual.shape[:2])
