@@ -107,6 +107,7 @@ def spectral(
     kinds = train[0].pairs[0].candidates(part).kinds
     start = spectral_loss.gammas_of(kinds)
     problems, held_out = (spectral_problems(r, part, options.right) for r in (train, validation))
+    print(f"{part}: {len(problems)} pairs, {len(held_out)} of validation", flush=True)
     values = learned(spectral_loss.spectral_loss, problems, start, descent(options))
     count = config.matching.top_k
     old = judge.spectral_hits(validation, part, kinds, count)
@@ -140,6 +141,7 @@ def regression(
     def loss(problem: RegressionProblem, values: Mapping[str, Tensor]) -> Tensor:
         return regression_loss.regression_loss(problem, {**values, **fixed})
 
+    print(f"regression: {len(problems)} pairs, {len(held_out)} of validation", flush=True)
     values = learned(loss, problems, start, descent(options))
     changed = merge(settings, {name: float(v) for name, v in values.items()}, "learned")
     verdicts = {}

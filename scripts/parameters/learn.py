@@ -15,6 +15,8 @@ Problem = TypeVar("Problem")
 Values = Mapping[str, Tensor]
 Loss = Callable[[Problem, Values], Tensor]
 
+LOGGED = 20
+"""Steps between lines of progress."""
 FARTHEST = 4.0
 """Values stay within this factor of where they began; one that ends there has no minimum near."""
 
@@ -38,7 +40,7 @@ def learned(
     optimiser = torch.optim.Adam(change.values(), lr=descent.rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, descent.steps)
     order = np.zeros(0, dtype=np.int64)
-    for _ in range(descent.steps):
+    for step in range(descent.steps):
         while len(order) < descent.batch:
             order = np.append(order, rng.permutation(len(problems)))
         chosen, order = order[: descent.batch], order[descent.batch :]
@@ -48,6 +50,8 @@ def learned(
             part.backward()  # type: ignore[no-untyped-call]
         optimiser.step()
         schedule.step()
+        if (step + 1) % LOGGED == 0:
+            print(f"step {step + 1}/{descent.steps}", flush=True)
         with torch.no_grad():
             for log in change.values():
                 log.clamp_(-math.log(FARTHEST), math.log(FARTHEST))
