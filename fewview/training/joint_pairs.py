@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from fewview.completion.panorama.features import SCALES
 from fewview.completion.panorama.ring import FORWARD
 from fewview.completion.room_matches import BEST, DESCRIPTOR_SCALE, HEIGHT_M, INCLINATION
 from fewview.config import RefinementConfig
@@ -22,6 +21,8 @@ from fewview.training.regression_energy import FeaturePairs, RegressionProblem
 KIND = "panorama"
 MATCHES = 400
 """The most correspondences of a pair."""
+RIGHT_M = 0.25
+"""How far the truth may leave a right correspondence apart."""
 MIN_RIGHT = 5
 """Pairs with fewer right ones teach nothing about l_3."""
 STANDS_FOR = 20.0
@@ -43,7 +44,7 @@ def spectral_problems(seen: Foreseen, batch: Batch) -> Iterator[SpectralProblem]
         similarity = _similarity(seen, a, b, truth)
         with torch.no_grad():
             i, j = _matched(similarity)
-            right = (there[i] - points[b][j]).norm(dim=1) < SCALES.length_m
+            right = (there[i] - points[b][j]).norm(dim=1) < RIGHT_M
         if int(right.sum()) < MIN_RIGHT:
             continue
         p, q = normals[a][i], normals[b][j]

@@ -27,7 +27,7 @@ BLUR_CELLS = 1.5
 MIN_SLOPE = 0.05
 MAX_FEATURES = 240
 MAX_CORRESPONDENCES = 400
-SCALES = Scales(0.25, 0.40, 0.50, 0.05, fixed_point=False)
+SCALES = Scales(0.206, 1.60, 0.73, 0.05, fixed_point=False)
 
 
 class Layout:

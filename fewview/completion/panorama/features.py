@@ -25,7 +25,8 @@ STEP = 4
 MAX_FEATURES = 320
 MAX_CORRESPONDENCES = 600
 SHELL = [CLASSES.index(name) for name in ("wall", "floor", "ceiling")]
-SCALES = Scales(0.25, 0.30, 0.40, 0.10, fixed_point=False)
+SCALES = Scales(0.115, 1.20, 0.56, 0.10, fixed_point=False)
+"""Learned in phase two (docs/training.md), as those of the other completed kinds."""
 
 
 class Panorama:

@@ -18,7 +18,7 @@ from fewview.types import (
 
 KINDS = ("floor", "ceiling", "wall")
 MAX_CORRESPONDENCES = 60
-SCALES = Scales(0.40, 0.20, 0.50, 0.50, fixed_point=False)
+SCALES = Scales(0.143, 0.80, 0.21, 0.50, fixed_point=False)
 
 
 class Structure:
