@@ -104,7 +104,7 @@ class DrawnProblem(Problem):
     @property
     def folder(self) -> Path:
         """Where those weights are."""
-        return Path(self.weights) if self.weights else weights.FOLDER
+        return weights.folder_of(self.weights)
 
     def prepared(self, rooms: RoomSource) -> RoomSource:
         return Draughtsman(rooms, self.folder, self.tilt_deg)

@@ -81,7 +81,7 @@ class JointProblem(Problem):
     @property
     def folder(self) -> Path:
         """Where the weights to begin with are."""
-        return Path(self.weights) if self.weights else weights.FOLDER
+        return weights.folder_of(self.weights)
 
     def network(self) -> nn.Module:
         relation = weights.shipped(RELATION, relation_network, self.folder)

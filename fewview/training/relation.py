@@ -65,7 +65,7 @@ class RelationProblem(Problem):
     @property
     def folder(self) -> Path:
         """Where the 360-image network's weights are."""
-        return Path(self.weights) if self.weights else weights.FOLDER
+        return weights.folder_of(self.weights)
 
     def network(self) -> nn.Module:
         return RelationNetwork(self.size)

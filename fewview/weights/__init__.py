@@ -22,6 +22,11 @@ FOLDER = Path(__file__).parent
 Network = TypeVar("Network", bound=nn.Module)
 
 
+def folder_of(setting: str) -> Path:
+    """The folder that a setting names, that of the package where it is empty."""
+    return Path(setting) if setting else FOLDER
+
+
 def load(name: str, folder: Path = FOLDER) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """The state dict and the card of a network.
 

@@ -9,12 +9,12 @@ import numpy as np
 
 from benchmark.pairs import Pair
 from benchmark.refinement_runs import PERTURBED, RIGHT, START, Errors, Outcome
+from benchmark.scoring import OVERLAPS
 from benchmark.store import Record
 from benchmark.table import Json, Table
 from fewview.evaluation.metrics import within
 from fewview.types import Array
 
-OVERLAPPING = 0.1
 GROUPS = (">= 10 %", "< 10 %")
 NOTICED_M = 0.005
 """A pose has become worse when its surface error grew by more."""
@@ -40,12 +40,11 @@ def rows(pairs: Sequence[Pair], records: Sequence[Record[Outcome]]) -> list[Json
 
 def summarise(rows: Sequence[Json], names: Sequence[str]) -> Json:
     """By overlap class and refinement; classes without pairs are left out."""
-    far = [row for row in rows if row["overlap"] < OVERLAPPING]
-    near = [row for row in rows if row["overlap"] >= OVERLAPPING]
-    members = {group: found for group, found in zip(GROUPS, (near, far), strict=True) if found}
+    members = {group: [row for row in rows if OVERLAPS[group](row)] for group in GROUPS}
     return {
         group: {"pairs": len(found)} | {name: _scores(found, name) for name in (START, *names)}
         for group, found in members.items()
+        if found
     }
 
 
