@@ -14,7 +14,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from fewview.config import Config
-    from fewview.errors import ConfigError, FewviewError, ScanError
+    from fewview.errors import ConfigError, FewviewError, PriorsError, ScanError
     from fewview.pipeline import match_two, reconstruct
     from fewview.report import save
     from fewview.scans import load
@@ -23,6 +23,7 @@ _HOMES = {
     "Config": "config",
     "ConfigError": "errors",
     "FewviewError": "errors",
+    "PriorsError": "errors",
     "ScanError": "errors",
     "load": "scans",
     "match_two": "pipeline",
@@ -33,6 +34,7 @@ __all__ = [
     "Config",
     "ConfigError",
     "FewviewError",
+    "PriorsError",
     "ScanError",
     "load",
     "match_two",

@@ -65,6 +65,7 @@ def _add_reconstruct(commands: _Commands) -> None:  # type: ignore[type-arg]
     command.add_argument("--view", action="store_true", help="watch the run in the Rerun viewer")
     command.add_argument("--report", type=Path, metavar="FILE", help="default beside the mesh")
     command.add_argument("--jobs", type=_positive, metavar="N", help="threads, default all cores")
+    command.add_argument("--priors", type=Path, metavar="FILE", help="known ups, poses, relations")
     _add_settings(command)
     command.set_defaults(run=_reconstruct)
 
@@ -157,6 +158,7 @@ def _reconstruct(options: argparse.Namespace) -> int:
         recording,
         options.view,
         options.report,
+        options.priors,
     )
     complete = all(p.component == 0 for p in result.solution.placements)
     return ALL_PLACED if complete else PARTIAL
@@ -171,21 +173,25 @@ def _run(
     recording: Path | None,
     view: bool,
     report: Path | None,
+    priors: Path | None = None,
 ) -> Reconstruction:
     """Reconstruct with progress and recording, then save everything."""
     from fewview import pipeline
+    from fewview import priors as known
     from fewview import report as reports
     from fewview import scans as readers
     from fewview.progress import Progress
 
     found = readers.load(scans)
+    names = [scan.name for scan in found.scans]
+    told = None if priors is None else known.load(priors, names, config.matching.top_k)
     observers: list[Observer] = [Progress()]
     with ExitStack() as stack:
         if recording is not None or view:
             from fewview.recording import Recorder
 
             observers.append(stack.enter_context(Recorder(recording, view)))
-        result = pipeline.reconstruct(found, config, seed, jobs, observers)
+        result = pipeline.reconstruct(found, config, seed, jobs, observers, told)
         reports.save(result, out, report)
     return result
 

@@ -13,3 +13,7 @@ class ScanError(FewviewError):
 
 class ConfigError(FewviewError):
     """A setting is unknown or has a value that cannot be used."""
+
+
+class PriorsError(FewviewError):
+    """What the user says to know of the scans is malformed or contradicts itself."""

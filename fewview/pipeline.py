@@ -10,12 +10,14 @@ from contextlib import contextmanager
 
 from fewview import fusion, global_stage
 from fewview.completion import complete
+from fewview.completion.levelling import turns_upright
 from fewview.completion.orientation import glance, quarter_turns
 from fewview.config import Config
 from fewview.errors import FewviewError
 from fewview.executor import Executor
 from fewview.matching.prepared import PreparedScan, prepare
 from fewview.pairwise import match_pair
+from fewview.priors import Priors
 from fewview.types import (
     ColouredMesh,
     CompletedScan,
@@ -37,6 +39,7 @@ def reconstruct(
     seed: int = 0,
     jobs: int | None = None,
     observers: Sequence[Observer] = (),
+    priors: Priors | None = None,
 ) -> Reconstruction:
     """Poses and meshes of a set of scans.
 
@@ -46,11 +49,15 @@ def reconstruct(
         seed: the same seed and settings give the same result.
         jobs: worker threads; every core when not given.
         observers: are told of every step and cannot change any.
+        priors: what is known beforehand, see `fewview.priors.load`.
 
     Raises:
         ScanError: a scan's pixels cannot be used.
+        PriorsError: the priors do not fit the run or contradict each other.
     """
-    run = _Run(scans, config or Config(), seed, Executor(jobs), tuple(observers))
+    run = _Run(
+        scans, config or Config(), seed, Executor(jobs), tuple(observers), priors or Priors()
+    )
     return run.everything()
 
 
@@ -64,12 +71,14 @@ class _Run:
         seed: int,
         executor: Executor,
         observers: tuple[Observer, ...],
+        priors: Priors,
     ) -> None:
         self.scans = scans
         self.config = config
         self.seed = seed
         self.executor = executor
         self.observers = observers
+        self.priors = priors
         self.timings_s: dict[str, float] = {}
 
     def everything(self) -> Reconstruction:
@@ -85,7 +94,9 @@ class _Run:
                 pairs,
                 self.config.global_stage,
                 self.seed,
+                self.priors.poses,
             )
+        self.priors.check(pairs, solution)
         self._tell("solved", solution)
         with self._timed("fusion"):
             meshes = self._fuse(solution)
@@ -107,12 +118,14 @@ class _Run:
         if self.config.features.quarter_turns:
             glances = self.executor.map(lambda s: glance(s.load()), scans)
             turns = quarter_turns(list(glances)).tolist()
+            for index, up in self.priors.up.items():
+                turns[index] = turns_upright(up)
 
         def one(index: int) -> tuple[Frame, CompletedScan]:
             frame = scans[index].load()
-            features = self.config.features
+            features, up = self.config.features, self.priors.up.get(index)
             return frame, complete(
-                scans[index].name, frame, turns[index], features, self.seed + index
+                scans[index].name, frame, turns[index], features, self.seed + index, up
             )
 
         completed = []
@@ -127,10 +140,11 @@ class _Run:
         def one(indices: tuple[int, int]) -> PairResult:
             source, target = indices
             try:
-                return match_pair(prepared[source], prepared[target], indices, self.config)
+                found = match_pair(prepared[source], prepared[target], indices, self.config)
             except (ValueError, ArithmeticError, RuntimeError) as error:
                 log.warning("pair %s failed: %s", indices, error)
-                return PairResult(source, target, PairStatus.FAILED, (), str(error))
+                found = PairResult(source, target, PairStatus.FAILED, (), str(error))
+            return self.priors.constrain(found)
 
         results = []
         for result in self.executor.map(one, itertools.combinations(range(len(prepared)), 2)):
@@ -181,5 +195,5 @@ def match_two(
     chosen = ScanSet(
         scans.format, (by_name[source], by_name[target]), scans.depth_unit_m, scans.notes
     )
-    run = _Run(chosen, config, seed, Executor(1), ())
+    run = _Run(chosen, config, seed, Executor(1), (), Priors())
     return run._match(run._complete())[0]

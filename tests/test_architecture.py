@@ -23,7 +23,7 @@ ALGORITHMS = {
     "refinement",
     "global_stage",
 }
-ESTIMATORS = ALGORITHMS | {"probability", "choice", "pairwise", "fusion", "pipeline"}
+ESTIMATORS = ALGORITHMS | {"probability", "choice", "pairwise", "priors", "fusion", "pipeline"}
 ALLOWED: Mapping[str, set[str]] = {
     "types": set(),
     "errors": set(),
@@ -33,6 +33,7 @@ ALLOWED: Mapping[str, set[str]] = {
     "probability": GROUND | {"config", "errors"},
     "choice": GROUND,
     "pairwise": GROUND | ALGORITHMS | {"config", "errors", "weights", "probability", "choice"},
+    "priors": GROUND | {"errors"},
     "fusion": GROUND | {"config", "errors"},
     "weights": {"errors"},
     "training": GROUND

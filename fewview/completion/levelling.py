@@ -21,7 +21,12 @@ FLOOR_RANGE_M = (0.25, 2.6)
 DOUBTED_M = 0.3
 
 
-def level(surface: Surface, patches: tuple[PlanarPatch, ...], quarter_turns: int = 0) -> Levelling:
+def level(
+    surface: Surface,
+    patches: tuple[PlanarPatch, ...],
+    quarter_turns: int = 0,
+    up: Array | None = None,
+) -> Levelling:
     """Estimate the levelling of one scan.
 
     Args:
@@ -29,11 +34,15 @@ def level(surface: Surface, patches: tuple[PlanarPatch, ...], quarter_turns: int
         patches: its planar patches.
         quarter_turns: how often the image must be turned by 90 degrees counter-clockwise to
             stand upright; it turns the camera's up axis.
+        up: (3,) unit up direction in the camera frame where it is known; it is not doubted, and
+            walls and floor are looked for along it.
     """
-    camera_up = upright(quarter_turns)
+    confidence = 0.0 if up is None else 1.0
+    camera_up = upright(quarter_turns) if up is None else up
     if len(surface.points) < 10:
-        return Levelling(_frame(camera_up, _forward(camera_up)), 0.0, False, None)
-    up, confidence = _up_direction(surface.normals, patches, camera_up)
+        return Levelling(_frame(camera_up, _forward(camera_up)), confidence, False, None)
+    if up is None:
+        up, confidence = _up_direction(surface.normals, patches, camera_up)
     heading, manhattan = _heading(surface.normals, up)
     level_R_scan = _frame(up, heading)
     return Levelling(level_R_scan, confidence, manhattan, _floor(surface, up))
@@ -48,6 +57,11 @@ def doubted(levelling: Levelling, predicted_floor_z: float) -> Levelling:
     if floor_z is None or abs(floor_z - predicted_floor_z) < DOUBTED_M:
         return levelling
     return replace(levelling, floor_z=None)
+
+
+def turns_upright(up: Array) -> int:
+    """Counter-clockwise quarter turns that best bring an image with this (3,) up upright."""
+    return int(np.argmax([upright(turns) @ up for turns in range(4)]))
 
 
 def upright(quarter_turns: int) -> Array:

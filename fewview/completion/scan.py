@@ -17,7 +17,7 @@ from fewview.completion.structure.features import Structure
 from fewview.completion.xfeat import XFeatKeypoints
 from fewview.config import FeatureConfig
 from fewview.errors import ConfigError
-from fewview.types import CompletedScan, Frame
+from fewview.types import Array, CompletedScan, Frame
 
 OBSERVED_KINDS: tuple[FeatureKind, ...] = (XFeatKeypoints(), Sift(), Planes())
 COMPLETED_KINDS: tuple[FeatureKind, ...] = (Panorama(), Layout(), Structure())
@@ -44,7 +44,12 @@ def asked_networks(config: FeatureConfig) -> frozenset[str]:
 
 
 def complete(
-    name: str, frame: Frame, quarter_turns: int, config: FeatureConfig, seed: int
+    name: str,
+    frame: Frame,
+    quarter_turns: int,
+    config: FeatureConfig,
+    seed: int,
+    up: Array | None = None,
 ) -> CompletedScan:
     """Everything the pair stages need to know of one scan.
 
@@ -54,11 +59,12 @@ def complete(
         quarter_turns: counter-clockwise turns that bring the image upright.
         config: settings.
         seed: seed of the plane search.
+        up: (3,) unit up direction in its camera axes where it is known.
     """
     depth = DepthView.of(frame, config.max_depth_m)
     surface = thin_surface(depth, frame.colour, config.surface_voxel_m)
     surface, patches = find_patches(surface, config.max_patches, np.random.default_rng(seed))
-    levelling = level(surface, patches, quarter_turns)
+    levelling = level(surface, patches, quarter_turns, up)
     room = complete_room(frame, levelling, asked_networks(config), config.max_depth_m, seed)
     if room.layout is not None:
         levelling = doubted(levelling, room.layout.floor_z)

@@ -112,6 +112,11 @@ def distance(a: Array, b: Array) -> tuple[Array, Array]:
     return rotation_angle(delta), np.asarray(shift)
 
 
+def rigid(matrix: Array) -> Array:
+    """The (..., 4, 4) motion with the rotation nearest to that of a matrix, same translation."""
+    return pose(nearest_rotation(matrix[..., :3, :3]), matrix[..., :3, 3])
+
+
 def nearest_rotation(matrix: Array) -> Array:
     """The rotation closest to (..., 3, 3) matrices in the Frobenius norm."""
     u, _, vt = np.linalg.svd(matrix)

@@ -12,7 +12,7 @@ here. A block that comes loose may also fall apart, which matters in loops of we
 of `_log_dissolved`: what the two parts gain by it over what the whole does). Links that repeat one
 another count once (`novelty`). The product is exact for trees of links: a leaf carries the doubt of
 every link on its way to the core. The core of a component is the scan relative to which most scans
-are expected to be right.
+are expected to be right, among those with a fixed pose where there are any.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def judge(problem: Problem, state: State) -> Belief:
         members = np.flatnonzero(state.component == label)
         if len(members) > 1:
             inside = agree[np.ix_(members, members)]
-            core = int(np.argmax(inside.sum(axis=1)))
+            core = int(np.argmax(inside.sum(axis=1) + len(members) * problem.fixed[members]))
             probability[members] = inside[core]
             probability[members[core]] = np.max(np.delete(inside[core], core))
             turned = blocks[:, members[core]]

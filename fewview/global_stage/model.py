@@ -25,7 +25,7 @@ candidates in place of separate rotation and translation terms.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -33,10 +33,13 @@ import numpy as np
 
 from fewview.config import GlobalConfig
 from fewview.geometry import se3
-from fewview.types import Array, CandidateOrigin, IntArray, PairResult
+from fewview.types import Array, BoolArray, CandidateOrigin, IntArray, PairResult
 
 MAX_PAIR_PROBABILITY = 0.99
 """No pair is surer than this, whatever its candidates add up to."""
+
+TOLD_EVIDENCE = 1e100
+"""r_k of a candidate that the user says is right: no number of found ones outweighs it."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,7 @@ class Problem:
 
     Attributes:
         scans: number of scans n.
+        fixed: (n,) scans whose pose the user fixed.
         source, target: (m,) scan indices.
         pair: (m,) index into the list of pairs.
         rank: (m,) rank of the candidate within its pair.
@@ -59,6 +63,7 @@ class Problem:
     """
 
     scans: int
+    fixed: BoolArray
     source: IntArray
     target: IntArray
     pair: IntArray
@@ -78,7 +83,9 @@ class Problem:
         return se3.inverse(self.motion)
 
 
-def build(scans: int, pairs: Sequence[PairResult], config: GlobalConfig) -> Problem:
+def build(
+    scans: int, pairs: Sequence[PairResult], config: GlobalConfig, fixed: Collection[int] = ()
+) -> Problem:
     """Flatten the pairs' candidates; those less probable than chance agreement are left out."""
     rows = [
         (pair.source, pair.target, index, candidate.rank, candidate)
@@ -94,6 +101,7 @@ def build(scans: int, pairs: Sequence[PairResult], config: GlobalConfig) -> Prob
     levelled = np.array([row[4].origin is not CandidateOrigin.SPECTRAL for row in rows], dtype=bool)
     chance = np.where(levelled, config.levelled_chance_agreement, config.chance_agreement)
     evidence = probability / (elsewhere[index[:, 2]] * chance)
+    evidence[np.array([row[4].told for row in rows], dtype=bool)] = TOLD_EVIDENCE
     keep = np.flatnonzero(evidence > 1.0)
     kept = [rows[i][4] for i in keep]
     motions = [candidate.target_T_source for candidate in kept]
@@ -101,6 +109,7 @@ def build(scans: int, pairs: Sequence[PairResult], config: GlobalConfig) -> Prob
     accept = math.log(config.min_probability) - math.log1p(-config.min_probability)
     return Problem(
         scans=scans,
+        fixed=np.isin(np.arange(scans), list(fixed)),
         source=index[keep, 0],
         target=index[keep, 1],
         pair=index[keep, 2],

@@ -1,7 +1,8 @@
 """Robust pose graph of one component; the only module that uses GTSAM.
 
-One between-factor per selected candidate, one prior on the first scan. The loss is Huber's, then
-Cauchy's from where that ended: on simulated graphs with 0 to 40 % mild outliers and misjudged
+One between-factor per selected candidate, one prior on the first scan or on every scan whose pose
+the user fixed. Given relative poses are as exact as they say. For the others the loss is Huber's,
+then Cauchy's from where that ended: on simulated graphs with 0 to 40 % mild outliers and misjudged
 covariances the pair was at least as accurate as graduated non-convexity (GNC, TLS and
 Geman-McClure) and, unlike it, never leaves a scan without a factor.
 """
@@ -10,14 +11,14 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 
 from fewview.geometry import se3
-from fewview.types import Array, EdgeReport, PoseCandidate
+from fewview.types import Array, CandidateOrigin, EdgeReport, PoseCandidate
 
 FLOOR_SIGMA = np.array([math.radians(0.5)] * 3 + [0.01] * 3)
 """Standard deviation (rad, m) of a candidate whose surfaces overlap completely, at the least."""
@@ -38,7 +39,7 @@ CAUCHY_SCALE = 3.0
 """Whitened residual at which Cauchy's loss halves a factor's weight."""
 
 PRIOR_SIGMA = 1e-4
-"""Standard deviation (rad, m) of the first scan's pose."""
+"""Standard deviation (rad, m) of the pose of the first scan, or of a fixed one."""
 
 _LOG = logging.getLogger(__name__)
 
@@ -67,12 +68,15 @@ class Optimised:
     improved: bool
 
 
-def optimise(initial: Mapping[int, Array], edges: Sequence[Edge]) -> Optimised:
+def optimise(
+    initial: Mapping[int, Array], edges: Sequence[Edge], fixed: Collection[int] = ()
+) -> Optimised:
     """Refine the poses of one connected component.
 
     Args:
         initial: scan index -> (4, 4) frame_T_scan from the discrete stage.
         edges: selected candidates; together they connect all scans of ``initial``.
+        fixed: scans that stay where they are; the first one when there are none.
 
     Returns:
         Poses in the same frame whose robust total error is not above that of ``initial``.
@@ -81,8 +85,9 @@ def optimise(initial: Mapping[int, Array], edges: Sequence[Edge]) -> Optimised:
     for scan, frame_T_scan in initial.items():
         start.insert(scan, gtsam.Pose3(frame_T_scan))
     cauchy = gtsam.noiseModel.mEstimator.Cauchy.Create(CAUCHY_SCALE)
-    graph = _graph(initial, edges, cauchy)
-    huber = _graph(initial, edges, gtsam.noiseModel.mEstimator.Huber.Create(HUBER_SCALE))
+    anchors = {scan: initial[scan] for scan in sorted(fixed) or [min(initial)]}
+    graph = _graph(anchors, edges, cauchy)
+    huber = _graph(anchors, edges, gtsam.noiseModel.mEstimator.Huber.Create(HUBER_SCALE))
     end = gtsam.LevenbergMarquardtOptimizer(huber, start).optimize()
     end = gtsam.LevenbergMarquardtOptimizer(graph, end).optimize()
     improved = bool(graph.error(end) <= graph.error(start))
@@ -101,8 +106,11 @@ def optimise(initial: Mapping[int, Array], edges: Sequence[Edge]) -> Optimised:
 def covariance(candidate: PoseCandidate) -> Array:
     """(6, 6) covariance of a factor, rotation first: refinement's, inflated and conditioned.
 
-    Its floor grows as the overlap shrinks, its standard deviations end at `CEILING_SIGMA`.
+    Its floor grows as the overlap shrinks, its standard deviations end at `CEILING_SIGMA`. That of
+    a given pose is as it stands.
     """
+    if candidate.origin is CandidateOrigin.GIVEN:
+        return candidate.covariance
     overlap = min(max(candidate.evidence.overlap, LEAST_OVERLAP), 1.0)
     floor = np.square(FLOOR_SIGMA / overlap)
     scaled = HESSIAN_INFLATION * candidate.covariance / np.outer(CEILING_SIGMA, CEILING_SIGMA)
@@ -113,15 +121,16 @@ def covariance(candidate: PoseCandidate) -> Array:
 
 
 def _graph(
-    initial: Mapping[int, Array], edges: Sequence[Edge], loss: gtsam.noiseModel.mEstimator.Base
+    anchors: Mapping[int, Array], edges: Sequence[Edge], loss: gtsam.noiseModel.mEstimator.Base
 ) -> gtsam.NonlinearFactorGraph:
     graph = gtsam.NonlinearFactorGraph()
-    first = min(initial)
-    anchor = gtsam.noiseModel.Isotropic.Sigma(6, PRIOR_SIGMA)
-    graph.add(gtsam.PriorFactorPose3(first, gtsam.Pose3(initial[first]), anchor))
+    tight = gtsam.noiseModel.Isotropic.Sigma(6, PRIOR_SIGMA)
+    for scan, pose in anchors.items():
+        graph.add(gtsam.PriorFactorPose3(scan, gtsam.Pose3(pose), tight))
     for edge in edges:
         gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance(edge.candidate))
-        noise = gtsam.noiseModel.Robust.Create(loss, gaussian)
+        given = edge.candidate.origin is CandidateOrigin.GIVEN
+        noise = gaussian if given else gtsam.noiseModel.Robust.Create(loss, gaussian)
         motion = gtsam.Pose3(edge.candidate.target_T_source)
         graph.add(gtsam.BetweenFactorPose3(edge.target, edge.source, motion, noise))
     return graph

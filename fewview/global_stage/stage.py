@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fewview.config import GlobalConfig
+from fewview.geometry import se3
 from fewview.global_stage import discrete, reasons
 from fewview.global_stage.belief import drop_doubtful
 from fewview.global_stage.model import Problem, build
@@ -31,6 +32,7 @@ def solve(
     pairs: Sequence[PairResult],
     config: GlobalConfig,
     seed: int,
+    fixed: Mapping[int, Array] | None = None,
 ) -> GlobalSolution:
     """Choose at most one candidate per pair and pose every scan that can be trusted.
 
@@ -40,16 +42,19 @@ def solve(
         pairs: results of any pairs of scans, each at most once.
         config: settings of the stage.
         seed: of the discrete search.
+        fixed: scan index -> (4, 4) world_T_scan that is kept as it is; ``pairs`` hold the told
+            candidates between these scans.
 
     Returns:
-        Components of two scans or more, largest first, each in its own world frame; scans that no
-        component holds are unplaced, with the reason.
+        Components of two scans or more, or with a fixed one, largest first, each in its own world
+        frame; scans that no component holds are unplaced, with the reason.
     """
-    problem = build(len(names), pairs, config)
+    fixed = fixed or {}
+    problem = build(len(names), pairs, config, fixed)
     state = discrete.search(problem, config.restarts, seed)
     belief = drop_doubtful(problem, state, config.min_probability)
-    groups = _groups(state)
-    parts = [_place(problem, state, pairs, levellings, group) for group in groups]
+    groups = _groups(state, fixed)
+    parts = [_place(problem, state, pairs, levellings, group, fixed) for group in groups]
     placements = [
         ScanPlacement(
             name, None, None, 0.0, reasons.why_unplaced(names, pairs, i, config.min_probability)
@@ -58,7 +63,7 @@ def solve(
     ]
     for index, part in enumerate(parts):
         for scan, pose in part.world_T_scan.items():
-            probability = float(belief.probability[scan])
+            probability = 1.0 if scan in fixed else float(belief.probability[scan])
             placements[scan] = ScanPlacement(names[scan], index, pose, probability, None)
     return GlobalSolution(
         placements=tuple(placements),
@@ -82,10 +87,13 @@ class _Part:
     world: str
 
 
-def _groups(state: State) -> list[tuple[int, ...]]:
-    """Scans of every component of two or more, largest first, ties by the smallest index."""
+def _groups(state: State, fixed: Collection[int]) -> list[tuple[int, ...]]:
+    """Scans of every component of two or more or with a fixed one, largest first, ties by the
+    smallest index."""
     members = [np.flatnonzero(state.component == label) for label in np.unique(state.component)]
-    groups = [tuple(int(i) for i in group) for group in members if len(group) > 1]
+    groups = [
+        tuple(int(i) for i in group) for group in members if len(group) > 1 or group[0] in fixed
+    ]
     return sorted(groups, key=lambda group: (-len(group), group[0]))
 
 
@@ -95,10 +103,16 @@ def _place(
     pairs: Sequence[PairResult],
     levellings: Sequence[Levelling],
     group: Sequence[int],
+    fixed: Mapping[int, Array],
 ) -> _Part:
-    """Optimise and level one component."""
+    """Optimise one component, and level it unless fixed poses say where it is."""
+    edges = _selected(problem, state, pairs, group)
+    if known := {scan: fixed[scan] for scan in group if scan in fixed}:
+        start = _in_given_world({scan: state.pose[scan] for scan in group}, known)
+        given = optimise(start, edges, known)
+        return _Part({**given.pose, **known}, {**start, **known}, given.edges, "given")
     initial = {scan: state.pose[scan] for scan in group}
-    result = optimise(initial, _selected(problem, state, pairs, group))
+    result = optimise(initial, edges)
     world = find_world(result.pose, levellings)
     return _Part(
         world_T_scan={scan: world.world_T_frame @ result.pose[scan] for scan in group},
@@ -106,6 +120,16 @@ def _place(
         edges=result.edges,
         world=world.kind,
     )
+
+
+def _in_given_world(
+    frame_T_scan: Mapping[int, Array], known: Mapping[int, Array]
+) -> dict[int, Array]:
+    """(4, 4) world_T_scan of a component, where ``known`` ones are as given, made exactly rigid."""
+    rigid = {scan: se3.rigid(pose) for scan, pose in known.items()}
+    first = min(known)
+    world_T_frame = rigid[first] @ se3.inverse(frame_T_scan[first])
+    return {scan: world_T_frame @ pose for scan, pose in frame_T_scan.items()} | rigid
 
 
 def _selected(

@@ -30,7 +30,7 @@ CAMERA_UP = np.array([0.0, -1.0, 0.0])
 
 @dataclass(frozen=True)
 class WorldFrame:
-    """A component's world: (4, 4) world_T_frame, and ``"floor"`` or ``"gravity"``."""
+    """A component's world: (4, 4) world_T_frame, and its kind as in `types.Component`."""
 
     world_T_frame: Array
     kind: str

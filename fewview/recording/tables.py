@@ -93,6 +93,11 @@ _ROOMS_KEY = (
     "In space: planes that a scan shows are green, predicted ones orange; predicted points have "
     "the colours of their classes."
 )
+_WORLDS = {
+    "floor": "floor at z = 0",
+    "gravity": "z up, first scan at the origin",
+    "given": "in the frame of the fixed poses",
+}
 _CANDIDATE = (
     "rank",
     "probability",
@@ -122,7 +127,7 @@ def _candidate(candidate: PoseCandidate, chosen: bool) -> tuple[str, ...]:
 
 def _component(index: int, solution: GlobalSolution) -> str:
     component = solution.components[index]
-    frame = "floor at z = 0" if component.world == "floor" else "z up, first scan at the origin"
+    frame = _WORLDS[component.world]
     link = (
         f"Best rejected link: {escaped(component.nearest_link)}." if component.nearest_link else ""
     )

@@ -53,12 +53,13 @@ class Correspondences:
 
 
 class CandidateOrigin(StrEnum):
-    """Which step proposed a candidate pose."""
+    """Which step proposed a candidate pose; ``GIVEN`` ones come from the user and are exact."""
 
     SPECTRAL = "spectral"
     COMPLETION = "completion"
     ALIGNMENT = "alignment"
     MANHATTAN = "manhattan"
+    GIVEN = "given"
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,7 @@ class PoseCandidate:
         covariance: (6, 6) of xi in target_T_source @ exp(xi), rotation (rad) before translation
             (m): the order of GTSAM's Pose3.
         matches: agreeing correspondences, (m, 2) indices per feature kind.
+        told: whether the user says that it is right.
     """
 
     rank: int
@@ -103,6 +105,7 @@ class PoseCandidate:
     evidence: Evidence
     covariance: Array
     matches: Mapping[str, IntArray] = field(default_factory=dict)
+    told: bool = False
 
 
 class PairStatus(StrEnum):

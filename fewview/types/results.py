@@ -51,7 +51,8 @@ class Component:
 
     Attributes:
         scans: their indices, ascending.
-        world: ``"floor"`` (z up, floor at z = 0) or ``"gravity"`` (first scan's position, z up).
+        world: ``"floor"`` (z up, floor at z = 0), ``"gravity"`` (first scan's position, z up) or
+            ``"given"`` (the frame of the poses that the user fixed).
         nearest_link: the best rejected candidate that would have joined it to another component,
             as text, or None.
     """
