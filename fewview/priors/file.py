@@ -92,16 +92,10 @@ class _File:
     def _up(self, value: Any) -> dict[int, Array]:
         """Unit up directions by scan."""
         named = self._mapping({ALL_OTHERS: value} if isinstance(value, list) else value, "up")
-        rest = {
-            scan: self._direction(direction, ALL_OTHERS)
-            for scan in range(len(self.names))
-            if (direction := named.get(ALL_OTHERS)) is not None
-        }
-        return rest | {
-            self._scan(name, "up"): self._direction(direction, name)
-            for name, direction in named.items()
-            if name != ALL_OTHERS
-        }
+        directions = {name: self._direction(value, name) for name, value in named.items()}
+        others = directions.pop(ALL_OTHERS, None)
+        everyone = {} if others is None else dict.fromkeys(range(len(self.names)), others)
+        return everyone | {self._scan(name, "up"): up for name, up in directions.items()}
 
     def _pairs(self, entries: Any) -> Iterator[tuple[str, tuple[int, int], PairPrior]]:
         """Title for messages, (source, target) with source < target, and prior of every entry."""

@@ -115,11 +115,13 @@ def constrained(pair: PairResult, prior: PairPrior) -> PairResult:
         return _settled(pair, _given(len(pair.candidates), prior.target_T_source))
     if prior.pin is not None:
         return _settled(pair, next(c for c in pair.candidates if c.rank == prior.pin))
-    if prior.veto == "all" or len(prior.veto) == len(pair.candidates):
-        silent = tuple(replace(c, probability=0.0) for c in pair.candidates)
-        reason = "every candidate was vetoed"
-        return replace(pair, status=PairStatus.NOTHING_BELIEVABLE, candidates=silent, reason=reason)
-    return replace(pair, candidates=_without(pair.candidates, prior.veto))
+    ranks = frozenset(c.rank for c in pair.candidates)
+    vetoed = ranks if prior.veto == "all" else prior.veto
+    left = replace(pair, candidates=_without(pair.candidates, vetoed))
+    if not ranks or vetoed != ranks:
+        return left
+    reason = "every candidate was vetoed"
+    return replace(left, status=PairStatus.NOTHING_BELIEVABLE, reason=reason)
 
 
 def _settled(pair: PairResult, right: PoseCandidate) -> PairResult:
