@@ -11,7 +11,7 @@ from planted_graphs import Noise, candidate, room_poses, shaken
 
 from fewview.geometry import se3
 from fewview.global_stage.pose_graph import CAUCHY_SCALE, Edge, covariance, optimise
-from fewview.types import Array
+from fewview.types import Array, CandidateOrigin
 
 
 def ring(poses: Array, noise: Noise, rng: np.random.Generator) -> list[Edge]:
@@ -90,6 +90,31 @@ def test_an_outlier_loses_its_weight() -> None:
     assert np.delete(weights, bad).min() > 0.6
     assert result.edges[bad].after_m > 0.4
     assert mean_shift(dict(result.pose), poses) < 0.05
+
+
+def test_fixed_scans_stay_and_the_others_follow() -> None:
+    rng = np.random.default_rng(3)
+    poses = room_poses(rng, 6)
+    edges = ring(poses, Noise(3.0, 0.05), rng)
+    start = chained(edges, poses[0], 6) | {2: poses[2], 4: poses[4]}
+    result = optimise(start, edges, fixed=(2, 4))
+    for scan in (2, 4):
+        np.testing.assert_allclose(result.pose[scan], poses[scan], atol=1e-3)
+    assert mean_shift(dict(result.pose), poses) < 0.7 * mean_shift(start, poses)
+
+
+def test_a_given_relative_pose_is_met_against_all_others() -> None:
+    rng = np.random.default_rng(4)
+    poses = room_poses(rng, 6)
+    edges = ring(poses, Noise(1.0, 0.02), rng)
+    off = edges[0].candidate.target_T_source @ se3.exp(np.array([0, 0.1, 0, 0.3, 0, 0]))
+    given = dataclasses.replace(
+        candidate(0, off, 1.0), origin=CandidateOrigin.GIVEN, covariance=1e-6 * np.eye(6)
+    )
+    start = chained(edges, poses[0], 6)
+    report = optimise(start, [Edge(edges[0].source, edges[0].target, given), *edges[1:]]).edges[0]
+    assert report.before_m > 0.25
+    assert report.after_m < 3e-3 and report.after_rad < 3e-3
 
 
 def test_a_tree_is_left_as_it_is() -> None:

@@ -1,10 +1,9 @@
 """Robust pose graph of one component; the only module that uses GTSAM.
 
 One between-factor per selected candidate, one prior on the first scan or on every scan whose pose
-the user fixed. Given relative poses are as exact as they say. For the others the loss is Huber's,
-then Cauchy's from where that ended: on simulated graphs with 0 to 40 % mild outliers and misjudged
-covariances the pair was at least as accurate as graduated non-convexity (GNC, TLS and
-Geman-McClure) and, unlike it, never leaves a scan without a factor.
+the user fixed. The loss is Huber's, then Cauchy's from where that ended: on simulated graphs with
+0 to 40 % mild outliers and misjudged covariances the pair was at least as accurate as graduated
+non-convexity (GNC, TLS and Geman-McClure) and, unlike it, never leaves a scan without a factor.
 """
 
 from __future__ import annotations
@@ -129,8 +128,7 @@ def _graph(
         graph.add(gtsam.PriorFactorPose3(scan, gtsam.Pose3(pose), tight))
     for edge in edges:
         gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance(edge.candidate))
-        given = edge.candidate.origin is CandidateOrigin.GIVEN
-        noise = gaussian if given else gtsam.noiseModel.Robust.Create(loss, gaussian)
+        noise = gtsam.noiseModel.Robust.Create(loss, gaussian)
         motion = gtsam.Pose3(edge.candidate.target_T_source)
         graph.add(gtsam.BetweenFactorPose3(edge.target, edge.source, motion, noise))
     return graph
