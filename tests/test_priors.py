@@ -273,6 +273,7 @@ def test_a_veto_of_a_wrong_candidate_changes_the_answer() -> None:
     assert off(vetoed, poses, 0, 1) < 1e-3
     silenced = run(poses, pairs, Priors(pairs={(0, 1): PairPrior(veto="all")}))
     assert silenced.components == ()
+    assert silenced.placements[0].reason == "no candidate pose links it to any other scan"
 
 
 def test_a_pin_outweighs_every_loop_against_it() -> None:

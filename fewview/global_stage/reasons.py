@@ -58,7 +58,9 @@ def nearest_link(
 
 
 def _crossing(pairs: Sequence[PairResult], inside: frozenset[int]) -> Iterator[Link]:
+    """Candidates that are not ruled out."""
     for pair in pairs:
         if (pair.source in inside) != (pair.target in inside):
             for candidate in pair.candidates:
-                yield Link(pair.source, pair.target, candidate.probability)
+                if candidate.probability > 0.0:
+                    yield Link(pair.source, pair.target, candidate.probability)
