@@ -145,10 +145,10 @@ PAIR = "pairs: [{source: table, target: window, %s}]"
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("up: [0, -1", "not a readable YAML file"),
+        ("up:\n  [0, -1", "not a readable YAML file .line 2: expected ',' or ']'"),
         ("[1, 2]", "the file must hold named values"),
         ("ups: [0, -1, 0]", "unknown key 'ups'; there are up, poses, pairs"),
-        ("up: {table: [0, -1, 0], table: [0, 1, 0]}", "'table' comes twice"),
+        ("up: {table: [0, -1, 0], table: [0, 1, 0]}", "line 1: 'table' comes twice"),
         ("up: {tabel: [0, -1, 0]}", "no scan 'tabel'; did you mean 'table'. there are 000008"),
         ("up: [0, -1]", "must be 3 finite numbers"),
         ("up: [0, nan, 0]", "must be 3 finite numbers"),

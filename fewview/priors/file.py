@@ -48,9 +48,15 @@ def load(path: Path, names: Sequence[str], top_k: int | None = None) -> Priors:
     try:
         values = yaml.load(path.read_text(), _TextLoader)
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise PriorsError(f"{path}: not a readable YAML file ({reason})") from error
+        raise PriorsError(f"{path}: not a readable YAML file ({_reason(error)})") from error
     return _File(path, tuple(names), top_k).priors(values or {})
+
+
+def _reason(error: Exception) -> str:
+    """What went wrong, and in which line of the file."""
+    if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
+        return f"line {error.problem_mark.line + 1}: {error.problem}"
+    return str(error).splitlines()[0]
 
 
 class _TextLoader(yaml.BaseLoader):
