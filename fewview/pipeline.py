@@ -86,6 +86,7 @@ class _Run:
                 self.config.global_stage,
                 self.seed,
             )
+            solution = global_stage.refine(solution, pairs, completed, self.config.global_stage)
         self._tell("solved", solution)
         with self._timed("fusion"):
             meshes = self._fuse(solution)
