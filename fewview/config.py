@@ -104,6 +104,10 @@ class GlobalConfig:
     """Scans whose placement is less probable stay unplaced."""
     restarts: int = 16
     """Seeded spanning trees from which the search starts."""
+    registration: bool = True
+    """Refine the poses of a component by the surfaces of all its scans at once."""
+    plane_factors: bool = False
+    """Let large planes hold scans together in the registration that see different parts of them."""
 
     def __post_init__(self) -> None:
         for name in ("chance_agreement", "levelled_chance_agreement", "min_probability"):

@@ -96,7 +96,10 @@ class _Run:
                 self.seed,
                 self.priors.poses,
             )
-        self.priors.check(pairs, solution)
+            self.priors.check(pairs, solution)
+            solution = global_stage.refine(
+                solution, pairs, completed, self.config.global_stage, self.priors.poses
+            )
         self._tell("solved", solution)
         with self._timed("fusion"):
             meshes = self._fuse(solution)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fewview import __version__, ply
-from fewview.types import Array, PairResult, PoseCandidate, Reconstruction
+from fewview.types import Array, PairResult, PoseCandidate, Reconstruction, Registration
 
 
 def as_dict(result: Reconstruction, mesh_path: Path) -> dict[str, Any]:
@@ -45,6 +45,7 @@ def as_dict(result: Reconstruction, mesh_path: Path) -> dict[str, Any]:
                 "scans": [names[i] for i in c.scans],
                 "world": c.world,
                 "nearest_link": c.nearest_link,
+                "registration": _registration(c.registration),
                 "mesh": None if not result.meshes else mesh_name(mesh_path, number).name,
             }
             for number, c in enumerate(solution.components)
@@ -147,6 +148,16 @@ def _candidate(candidate: PoseCandidate) -> dict[str, Any]:
         "overlap": _number(evidence.overlap),
         "free_space_violation": _number(evidence.free_space_violation),
         "support": {str(k): int(v) for k, v in evidence.support.items()},
+    }
+
+
+def _registration(registration: Registration | None) -> dict[str, Any] | None:
+    if registration is None:
+        return None
+    return {
+        "residual_before_m": _number(registration.residual_before_m),
+        "residual_after_m": _number(registration.residual_after_m),
+        "accepted": registration.accepted,
     }
 
 

@@ -72,6 +72,10 @@ def test_report_follows_the_contract(result: Reconstruction, tmp_path: Path) -> 
             pose = np.array(candidate["target_T_source"])
             np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6)
             assert set(candidate["support"]) == {"panorama", "layout", "planes", "keypoints"}
+    for component in report["components"]:
+        registration = component["registration"]
+        lower = registration["residual_after_m"] < registration["residual_before_m"]
+        assert lower or not registration["accepted"]
     mesh = read_ply(tmp_path / "mesh.ply")
     assert report["mesh"]["vertices"] == len(mesh.vertices) > 1000
     lines = (tmp_path / "mesh.tum.txt").read_text().splitlines()

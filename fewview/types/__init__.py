@@ -30,6 +30,7 @@ from fewview.types.results import (
     GlobalSolution,
     Observer,
     Reconstruction,
+    Registration,
     ScanPlacement,
 )
 from fewview.types.rooms import (
@@ -70,6 +71,7 @@ __all__ = [
     "PlanarPatch",
     "PoseCandidate",
     "Reconstruction",
+    "Registration",
     "Representation",
     "RingScan",
     "Scales",

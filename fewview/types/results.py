@@ -46,6 +46,20 @@ class ScanPlacement:
 
 
 @dataclass(frozen=True)
+class Registration:
+    """What surface points that took no part in a registration say of it.
+
+    Attributes:
+        residual_before_m, residual_after_m: their mean distance from the surfaces of other scans.
+        accepted: whether the refined poses were kept.
+    """
+
+    residual_before_m: float
+    residual_after_m: float
+    accepted: bool
+
+
+@dataclass(frozen=True)
 class Component:
     """A set of scans that share one world frame.
 
@@ -55,11 +69,14 @@ class Component:
             ``"given"`` (the frame of the poses that the user fixed).
         nearest_link: the best rejected candidate that would have joined it to another component,
             as text, or None.
+        registration: outcome of refining its poses by the surfaces of all its scans, None where
+            that was not asked for or no surfaces meet.
     """
 
     scans: tuple[int, ...]
     world: str
     nearest_link: str | None = None
+    registration: Registration | None = None
 
 
 @dataclass(frozen=True)
