@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"fewview: {error}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        print("fewview: interrupted, nothing was written", file=sys.stderr)
+        print("fewview: interrupted, no result was written", file=sys.stderr)
         return INTERRUPTED
 
 
@@ -65,6 +65,11 @@ def _add_reconstruct(commands: _Commands) -> None:  # type: ignore[type-arg]
     command.add_argument("--view", action="store_true", help="watch the run in the Rerun viewer")
     command.add_argument("--report", type=Path, metavar="FILE", help="default beside the mesh")
     command.add_argument("--jobs", type=_positive, metavar="N", help="threads, default all cores")
+    store = command.add_mutually_exclusive_group()
+    store.add_argument(
+        "--store", type=Path, metavar="DIR", help="scans and pairs kept between runs, NAME.store"
+    )
+    store.add_argument("--no-store", action="store_true", help="keep nothing between runs")
     _add_settings(command)
     command.set_defaults(run=_reconstruct)
 
@@ -148,6 +153,7 @@ def _reconstruct(options: argparse.Namespace) -> int:
     for path in (recording, options.report):
         if path is not None:
             _check_target(path)
+    store = None if options.no_store else options.store or options.out.with_suffix(".store")
     result = _run(
         options.scans,
         options.out,
@@ -157,6 +163,7 @@ def _reconstruct(options: argparse.Namespace) -> int:
         recording,
         options.view,
         options.report,
+        store,
     )
     complete = all(p.component == 0 for p in result.solution.placements)
     return ALL_PLACED if complete else PARTIAL
@@ -171,13 +178,16 @@ def _run(
     recording: Path | None,
     view: bool,
     report: Path | None,
+    store: Path | None,
 ) -> Reconstruction:
     """Reconstruct with progress and recording, then save everything."""
     from fewview import pipeline
     from fewview import report as reports
     from fewview import scans as readers
     from fewview.progress import Progress
+    from fewview.store import Store
 
+    kept = None if store is None else Store(store)
     found = readers.load(scans)
     observers: list[Observer] = [Progress()]
     with ExitStack() as stack:
@@ -185,7 +195,7 @@ def _run(
             from fewview.recording import Recorder
 
             observers.append(stack.enter_context(Recorder(recording, view)))
-        result = pipeline.reconstruct(found, config, seed, jobs, observers)
+        result = pipeline.reconstruct(found, config, seed, jobs, observers, kept)
         reports.save(result, out, report)
     return result
 
@@ -249,9 +259,7 @@ def _demo(options: argparse.Namespace) -> int:
     folder, mesh = options.out / "scans", options.out / "mesh.ply"
     scene = synthetic.generate(synthetic.split_seed("demo", DEMO_ROOM), 8, 0, "spread")
     synthetic.write(folder, scene)
-    result = _run(
-        folder, mesh, config.load(), 0, None, mesh.with_suffix(".rrd"), view=False, report=None
-    )
+    result = _run(folder, mesh, config.load(), 0, None, mesh.with_suffix(".rrd"), False, None, None)
     print(_scores(folder, mesh.with_suffix(".json")))
     print(f"mesh: {mesh}\nrecording: {mesh.with_suffix('.rrd')} (fewview view opens it)")
     complete = all(p.component == 0 for p in result.solution.placements)
