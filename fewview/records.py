@@ -15,6 +15,7 @@ import json
 import types
 import typing
 from collections.abc import Mapping
+from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -104,7 +105,7 @@ def _restored(node: Any, hint: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
         return {_restored(k, key, arrays): _restored(v, value, arrays) for k, v in node}
     if dataclasses.is_dataclass(hint):
         make: Any = hint
-        fields = typing.get_type_hints(hint).items()
+        fields = _fields(make).items()
         return make(**{name: _restored(node[name], field, arrays) for name, field in fields})
     if isinstance(node, dict):
         return arrays[node[ARRAY]][()]
@@ -113,3 +114,9 @@ def _restored(node: Any, hint: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
     if not isinstance(node, int | float if hint is float else hint):
         raise TypeError(f"{node!r} where {hint.__name__} is expected")
     return node
+
+
+@cache
+def _fields(kind: type) -> Mapping[str, Any]:
+    """The types of a dataclass's fields by their names."""
+    return typing.get_type_hints(kind)
