@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"fewview: {error}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        print("fewview: interrupted, nothing was written", file=sys.stderr)
+        print("fewview: interrupted, no result was written", file=sys.stderr)
         return INTERRUPTED
 
 
@@ -66,6 +66,11 @@ def _add_reconstruct(commands: _Commands) -> None:  # type: ignore[type-arg]
     command.add_argument("--report", type=Path, metavar="FILE", help="default beside the mesh")
     command.add_argument("--jobs", type=_positive, metavar="N", help="threads, default all cores")
     command.add_argument("--priors", type=Path, metavar="FILE", help="known ups, poses, relations")
+    store = command.add_mutually_exclusive_group()
+    store.add_argument(
+        "--store", type=Path, metavar="DIR", help="scans and pairs kept between runs, NAME.store"
+    )
+    store.add_argument("--no-store", action="store_true", help="keep nothing between runs")
     _add_settings(command)
     command.set_defaults(run=_reconstruct)
 
@@ -149,6 +154,7 @@ def _reconstruct(options: argparse.Namespace) -> int:
     for path in (recording, options.report):
         if path is not None:
             _check_target(path)
+    store = None if options.no_store else options.store or options.out.with_suffix(".store")
     result = _run(
         options.scans,
         options.out,
@@ -159,6 +165,7 @@ def _reconstruct(options: argparse.Namespace) -> int:
         options.view,
         options.report,
         options.priors,
+        store,
     )
     complete = all(p.component == 0 for p in result.solution.placements)
     return ALL_PLACED if complete else PARTIAL
@@ -174,6 +181,7 @@ def _run(
     view: bool,
     report: Path | None,
     priors: Path | None = None,
+    store: Path | None = None,
 ) -> Reconstruction:
     """Reconstruct with progress and recording, then save everything."""
     from fewview import pipeline
@@ -181,7 +189,9 @@ def _run(
     from fewview import report as reports
     from fewview import scans as readers
     from fewview.progress import Progress
+    from fewview.store import Store
 
+    kept = None if store is None else Store(store)
     found = readers.load(scans)
     names = [scan.name for scan in found.scans]
     told = None if priors is None else known.load(priors, names, config.matching.top_k)
@@ -191,7 +201,7 @@ def _run(
             from fewview.recording import Recorder
 
             observers.append(stack.enter_context(Recorder(recording, view)))
-        result = pipeline.reconstruct(found, config, seed, jobs, observers, told)
+        result = pipeline.reconstruct(found, config, seed, jobs, observers, told, kept)
         reports.save(result, out, report)
     return result
 
@@ -255,9 +265,7 @@ def _demo(options: argparse.Namespace) -> int:
     folder, mesh = options.out / "scans", options.out / "mesh.ply"
     scene = synthetic.generate(synthetic.split_seed("demo", DEMO_ROOM), 8, 0, "spread")
     synthetic.write(folder, scene)
-    result = _run(
-        folder, mesh, config.load(), 0, None, mesh.with_suffix(".rrd"), view=False, report=None
-    )
+    result = _run(folder, mesh, config.load(), 0, None, mesh.with_suffix(".rrd"), False, None, None)
     print(_scores(folder, mesh.with_suffix(".json")))
     print(f"mesh: {mesh}\nrecording: {mesh.with_suffix('.rrd')} (fewview view opens it)")
     complete = all(p.component == 0 for p in result.solution.placements)

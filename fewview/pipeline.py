@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import logging
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from fewview import fusion, global_stage
 from fewview.completion import complete
 from fewview.completion.levelling import turns_upright
-from fewview.completion.orientation import glance, quarter_turns
-from fewview.config import Config
+from fewview.completion.orientation import Glance, glance, quarter_turns
+from fewview.config import Config, FeatureConfig
 from fewview.errors import FewviewError
 from fewview.executor import Executor
-from fewview.matching.prepared import PreparedScan, prepare
+from fewview.matching.prepared import prepare
 from fewview.pairwise import match_pair
 from fewview.priors import Priors
+from fewview.records import digest
+from fewview.store import Store
 from fewview.types import (
+    Array,
     ColouredMesh,
     CompletedScan,
     Frame,
@@ -31,6 +37,7 @@ from fewview.types import (
 )
 
 log = logging.getLogger(__name__)
+Record = TypeVar("Record")
 
 
 def reconstruct(
@@ -40,6 +47,7 @@ def reconstruct(
     jobs: int | None = None,
     observers: Sequence[Observer] = (),
     priors: Priors | None = None,
+    store: Store | None = None,
 ) -> Reconstruction:
     """Poses and meshes of a set of scans.
 
@@ -50,15 +58,40 @@ def reconstruct(
         jobs: worker threads; every core when not given.
         observers: are told of every step and cannot change any.
         priors: what is known beforehand, see `fewview.priors.load`.
+        store: keeps scans and pairs between runs; the result is the same with and without.
 
     Raises:
         ScanError: a scan's pixels cannot be used.
         PriorsError: the priors do not fit the run or contradict each other.
     """
-    run = _Run(
-        scans, config or Config(), seed, Executor(jobs), tuple(observers), priors or Priors()
-    )
+    run = _Run(scans, config or Config(), seed, Executor(jobs), tuple(observers), priors, store)
     return run.everything()
+
+
+@dataclass(frozen=True)
+class Origin:
+    """All that a completed scan is a function of: other scans of the set are no part of it.
+
+    Attributes:
+        pixels: fingerprint of its frame; empty where nothing is stored.
+        name, quarter_turns, features, seed, up: see `complete`.
+    """
+
+    pixels: str
+    name: str
+    quarter_turns: int
+    features: FeatureConfig
+    seed: int
+    up: Array | None
+
+    def complete(self, frame: Frame) -> CompletedScan:
+        """The scan completed from its pixels."""
+        return complete(self.name, frame, self.quarter_turns, self.features, self.seed, self.up)
+
+
+def scan_seed(seed: int, name: str) -> int:
+    """The seed of one scan: it follows from the run's and the scan's name, not from its place."""
+    return int.from_bytes(hashlib.sha256(f"{seed}/{name}".encode()).digest()[:8])
 
 
 class _Run:
@@ -70,23 +103,26 @@ class _Run:
         config: Config,
         seed: int,
         executor: Executor,
-        observers: tuple[Observer, ...],
-        priors: Priors,
+        observers: tuple[Observer, ...] = (),
+        priors: Priors | None = None,
+        store: Store | None = None,
     ) -> None:
         self.scans = scans
         self.config = config
         self.seed = seed
         self.executor = executor
         self.observers = observers
-        self.priors = priors
+        self.priors = priors or Priors()
+        self.store = store
         self.timings_s: dict[str, float] = {}
 
     def everything(self) -> Reconstruction:
         self._tell("started", self.scans)
         with self._timed("features"):
-            completed = self._complete()
+            origins = self._origins()
+            completed = self._complete(origins)
         with self._timed("pairs"):
-            pairs = self._match(completed)
+            pairs = self._match(completed, origins)
         with self._timed("global"):
             solution = global_stage.solve(
                 [s.name for s in self.scans.scans],
@@ -115,42 +151,70 @@ class _Run:
             self.config.hash(),
         )
 
-    def _complete(self) -> tuple[CompletedScan, ...]:
-        scans = self.scans.scans
-        turns = [0] * len(scans)
-        if self.config.features.quarter_turns:
-            glances = self.executor.map(lambda s: glance(s.load()), scans)
+    def _origins(self) -> list[Origin]:
+        """Every scan's pixels are read before anything is kept: if one is unusable, nothing is."""
+        scans, features = self.scans.scans, self.config.features
+        pixels, turns = [""] * len(scans), [0] * len(scans)
+        if self.store is not None:
+            pixels = list(self.executor.map(lambda s: digest(s.load()), scans))
+
+        def look(index: int) -> Glance:
+            return self._kept(Glance, pixels[index], lambda: glance(scans[index].load()))
+
+        if features.quarter_turns:
+            glances = self.executor.map(look, range(len(scans)))
             turns = quarter_turns(list(glances)).tolist()
             for index, up in self.priors.up.items():
                 turns[index] = turns_upright(up)
-
-        def one(index: int) -> tuple[Frame, CompletedScan]:
-            frame = scans[index].load()
-            features, up = self.config.features, self.priors.up.get(index)
-            return frame, complete(
-                scans[index].name, frame, turns[index], features, self.seed + index, up
+        return [
+            Origin(
+                pixels[i],
+                scan.name,
+                turns[i],
+                features,
+                scan_seed(self.seed, scan.name),
+                self.priors.up.get(i),
             )
+            for i, scan in enumerate(scans)
+        ]
+
+    def _complete(self, origins: Sequence[Origin]) -> tuple[CompletedScan, ...]:
+        def one(index: int) -> tuple[Frame, CompletedScan]:
+            frame, origin = self.scans.scans[index].load(), origins[index]
+            return frame, self._kept(CompletedScan, origin, lambda: origin.complete(frame))
 
         completed = []
-        for index, (frame, result) in enumerate(self.executor.map(one, range(len(scans)))):
+        for index, (frame, result) in enumerate(self.executor.map(one, range(len(origins)))):
             self._tell("scan_completed", index, frame, result)
             completed.append(result)
         return tuple(completed)
 
-    def _match(self, completed: tuple[CompletedScan, ...]) -> tuple[PairResult, ...]:
-        prepared: list[PreparedScan] = list(self.executor.map(prepare, completed))
+    def _match(
+        self, completed: Sequence[CompletedScan], origins: Sequence[Origin]
+    ) -> tuple[PairResult, ...]:
+        settings = self.config.matching, self.config.refinement
+        pairs = list(itertools.combinations(range(len(completed)), 2))
+        origin = {pair: (*(origins[scan] for scan in pair), *settings) for pair in pairs}
+        known = {pair: found for pair in pairs if (found := self._get(PairResult, origin[pair]))}
+        needed = sorted({scan for pair in pairs if pair not in known for scan in pair})
+        searched = self.executor.map(lambda scan: prepare(completed[scan]), needed)
+        prepared = dict(zip(needed, searched, strict=True))
 
-        def one(indices: tuple[int, int]) -> PairResult:
-            source, target = indices
+        def one(pair: tuple[int, int]) -> PairResult:
+            source, target = pair
+            if pair in known:
+                return replace(known[pair], source=source, target=target)
             try:
-                found = match_pair(prepared[source], prepared[target], indices, self.config)
+                found = match_pair(prepared[source], prepared[target], pair, self.config)
             except (ValueError, ArithmeticError, RuntimeError) as error:
-                log.warning("pair %s failed: %s", indices, error)
-                found = PairResult(source, target, PairStatus.FAILED, (), str(error))
-            return self.priors.constrain(found)
+                log.warning("pair %s failed: %s", pair, error)
+                return PairResult(source, target, PairStatus.FAILED, (), str(error))
+            self._put(found, origin[pair])
+            return found
 
         results = []
-        for result in self.executor.map(one, itertools.combinations(range(len(prepared)), 2)):
+        for found in self.executor.map(one, pairs):
+            result = self.priors.constrain(found)
             self._tell("pair_matched", result)
             results.append(result)
         return tuple(results)
@@ -167,6 +231,21 @@ class _Run:
             self._tell("mesh_fused", number, mesh)
             meshes.append(mesh)
         return tuple(meshes)
+
+    def _kept(self, kind: type[Record], origin: object, make: Callable[[], Record]) -> Record:
+        """The stored record of an origin, or the one that is made of it and then stored."""
+        found = self._get(kind, origin)
+        if found is None:
+            found = make()
+            self._put(found, origin)
+        return found
+
+    def _get(self, kind: type[Record], origin: object) -> Record | None:
+        return None if self.store is None else self.store.get(kind, origin)
+
+    def _put(self, record: object, origin: object) -> None:
+        if self.store is not None:
+            self.store.put(record, origin)
 
     def _tell(self, event: str, *arguments: object) -> None:
         with self._timed("recording"):
@@ -198,5 +277,6 @@ def match_two(
     chosen = ScanSet(
         scans.format, (by_name[source], by_name[target]), scans.depth_unit_m, scans.notes
     )
-    run = _Run(chosen, config, seed, Executor(1), (), Priors())
-    return run._match(run._complete())[0]
+    run = _Run(chosen, config, seed, Executor(1))
+    origins = run._origins()
+    return run._match(run._complete(origins), origins)[0]

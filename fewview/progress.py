@@ -22,10 +22,10 @@ LINES_PER_STAGE = 5
 
 
 class Progress:
-    """An observer that reports to a stream."""
+    """An observer that reports to a stream, standard error when none is given."""
 
-    def __init__(self, stream: TextIO = sys.stderr) -> None:
-        self.stream = stream
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self.stream = stream or sys.stderr
         self.bar: tqdm[None] | None = None
         self.total = 0
         self.done = 0

@@ -50,6 +50,8 @@ ALLOWED: Mapping[str, set[str]] = {
         "weights",
     },
     "ply": GROUND | {"errors"},
+    "records": set(),
+    "store": {"records", "errors"},
     "scans": GROUND | {"config", "errors"},
     "recording": GROUND | ALGORITHMS | {"config", "errors"},
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import pytest
@@ -42,6 +43,31 @@ def scene() -> synthetic.SyntheticScene:
 @pytest.fixture(scope="module")
 def completed(scene: synthetic.SyntheticScene) -> list[CompletedScan]:
     return [complete(n, f, 0, CONFIG, 0) for n, f in zip(scene.names, scene.frames, strict=True)]
+
+
+def arrays_of(value: object) -> Iterator[np.ndarray]:
+    """All arrays within nested dataclasses, tuples and mappings."""
+    if isinstance(value, np.ndarray):
+        yield value
+    elif dataclasses.is_dataclass(value):
+        yield from arrays_of(tuple(getattr(value, f.name) for f in dataclasses.fields(value)))
+    elif isinstance(value, tuple | Mapping):
+        for part in value.values() if isinstance(value, Mapping) else value:
+            yield from arrays_of(part)
+
+
+def test_arrays_lie_in_memory_as_they_are_read_back(completed: list[CompletedScan]) -> None:
+    """The last bit of a sum can depend on it, and with it whether stored scans give the same."""
+    found = [array for scan in completed for array in arrays_of(scan)]
+    assert len(found) > 100
+    assert all(array.flags.c_contiguous for array in found)
+
+
+def test_dense_descriptors_go_when_features_are_taken(completed: list[CompletedScan]) -> None:
+    for scan in completed:
+        for part in (scan.room.panorama, scan.room.layout, scan.room.planes):
+            assert part is not None
+            assert part.descriptors.shape == (*part.confidence.shape, 0)
 
 
 def slanted_wall(tilt_deg: float) -> Frame:

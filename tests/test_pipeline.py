@@ -132,14 +132,14 @@ def test_observers_cannot_change_the_result(folder: Path, result: Reconstruction
         np.testing.assert_array_equal(a.world_T_scan, b.world_T_scan)
 
 
-def test_ctrl_c_leaves_nothing(
+def test_ctrl_c_leaves_no_result(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("fewview.fusion.fuse", interrupt)
-    assert run(folder, tmp_path / "out") == INTERRUPTED
+    assert run(folder, tmp_path / "out", "--no-store") == INTERRUPTED
     assert list((tmp_path / "out").iterdir()) == []
 
 
@@ -184,6 +184,7 @@ def test_inspect_and_evaluate(
         (["reconstruct", "SCANS", "--out", "mesh.ply", "--preset", "hasty"], "preset"),
         (["reconstruct", "SCANS", "--out", "mesh.ply", "--set", "matching.topk=3"], "top_k"),
         (["reconstruct", "SCANS", "--out", "mesh.ply", "--config", "none.yaml"], "none.yaml"),
+        (["reconstruct", "SCANS", "--out", "mesh.ply", "--store", "no/such"], "folder"),
         (["pair", "SCANS", "scan-000", "scan-999"], "scan-999"),
         (["pair", "SCANS", "scan-000", "scan-000"], "different"),
         (["evaluate", "SCANS", "none.json"], "none.json"),

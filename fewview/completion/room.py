@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Container
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
 from fewview.completion import layout, panorama, structure
-from fewview.types import CompletedRoom, Frame, Levelling
+from fewview.types import (
+    CompletedLayout,
+    CompletedPanorama,
+    CompletedPlanes,
+    CompletedRoom,
+    Frame,
+    Levelling,
+)
 
 NETWORKS = ("panorama", "layout", "structure")
 UP = 2
+Part = TypeVar("Part", CompletedPanorama, CompletedLayout, CompletedPlanes)
 
 
 def complete_room(
@@ -40,3 +50,18 @@ def complete_room(
         layout.complete_layout(ring, points) if "layout" in networks else None,
         structure.complete_planes(points) if "structure" in networks else None,
     )
+
+
+def without_descriptors(room: CompletedRoom) -> CompletedRoom:
+    """A room whose features were taken: its dense descriptors, half of its size, serve no other
+    end."""
+    return replace(
+        room,
+        panorama=room.panorama and _without_descriptors(room.panorama),
+        layout=room.layout and _without_descriptors(room.layout),
+        planes=room.planes and _without_descriptors(room.planes),
+    )
+
+
+def _without_descriptors(part: Part) -> Part:
+    return replace(part, descriptors=np.zeros((*part.descriptors.shape[:-1], 0), np.float32))

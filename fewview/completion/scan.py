@@ -11,7 +11,7 @@ from fewview.completion.local_geometry import DepthView, thin_surface
 from fewview.completion.panorama.features import Panorama
 from fewview.completion.patches import find_patches
 from fewview.completion.planes import Planes
-from fewview.completion.room import NETWORKS, complete_room
+from fewview.completion.room import NETWORKS, complete_room, without_descriptors
 from fewview.completion.sift import Sift
 from fewview.completion.structure.features import Structure
 from fewview.completion.xfeat import XFeatKeypoints
@@ -78,6 +78,6 @@ def complete(
         surface=surface,
         patches=patches,
         levelling=levelling,
-        room=room,
+        room=without_descriptors(room),
         features={kind.name: kind.extract(view, config) for kind in chosen_kinds(config)},
     )

@@ -114,7 +114,8 @@ class CompletedScan:
         surface: thinned visible surface.
         patches: planar patches of the surface.
         levelling: up direction and Manhattan frame.
-        room: the room around it as the networks complete it.
+        room: the room around it as the networks complete it, without dense descriptors: the
+            features have taken what they need of them.
         features: one FeatureSet per kind.
     """
 

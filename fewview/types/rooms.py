@@ -124,7 +124,8 @@ class CompletedRoom:
 
     Attributes:
         ring: the scan itself, along the walls that it shows.
-        panorama, layout, planes: the three representations, None where the network was not asked.
+        panorama, layout, planes: the three representations, None where the network was not asked;
+            in a `CompletedScan` their `descriptors` have no columns.
     """
 
     ring: RingScan
