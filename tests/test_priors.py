@@ -456,7 +456,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def reconstruct(folder: Path, out: Path, values: object) -> int:
     (out / "priors.yaml").write_text(json.dumps(values))
     return main(
-        ["reconstruct", str(folder), "--out", str(out / "mesh.ply"), "--no-rrd"]
+        ["reconstruct", str(folder), "--out", str(out / "mesh.ply"), "--no-rrd", "--no-store"]
         + [
             "--top-k",
             "20",
