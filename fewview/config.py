@@ -104,8 +104,12 @@ class GlobalConfig:
     """Scans whose placement is less probable stay unplaced."""
     restarts: int = 16
     """Seeded spanning trees from which the search starts."""
+    alternatives: int = 3
+    """Other answers that are reported beside the best, at most."""
 
     def __post_init__(self) -> None:
+        if self.alternatives < 0:
+            raise ConfigError("global_stage.alternatives must be 0 or more")
         for name in ("chance_agreement", "levelled_chance_agreement", "min_probability"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ConfigError(f"global_stage.{name} must be above 0 and below 1")

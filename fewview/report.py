@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fewview import __version__, ply
-from fewview.types import Array, PairResult, PoseCandidate, Reconstruction
+from fewview.types import Alternative, Array, PairResult, PoseCandidate, Reconstruction
 
 
 def as_dict(result: Reconstruction, mesh_path: Path) -> dict[str, Any]:
@@ -30,7 +30,7 @@ def as_dict(result: Reconstruction, mesh_path: Path) -> dict[str, Any]:
                 "name": p.name,
                 "placed": p.placed,
                 "component": p.component,
-                "world_T_scan": None if p.world_T_scan is None else _matrix(p.world_T_scan),
+                "world_T_scan": _placed(p.world_T_scan),
                 "probability": _number(p.probability),
                 "reason": p.reason,
             }
@@ -62,6 +62,7 @@ def as_dict(result: Reconstruction, mesh_path: Path) -> dict[str, Any]:
             }
             for e in solution.edges
         ],
+        "alternatives": [_alternative(a, names) for a in solution.alternatives],
         "timings_s": {k: _number(v) for k, v in result.timings_s.items()},
         "mesh": {
             "vertices": len(result.meshes[0].vertices) if result.meshes else 0,
@@ -148,6 +149,27 @@ def _candidate(candidate: PoseCandidate) -> dict[str, Any]:
         "free_space_violation": _number(evidence.free_space_violation),
         "support": {str(k): int(v) for k, v in evidence.support.items()},
     }
+
+
+def _alternative(alternative: Alternative, names: Sequence[str]) -> dict[str, Any]:
+    """Only the scans that stand otherwise; without a pose they stand alone."""
+    return {
+        "margin": _number(alternative.margin),
+        "odds": _number(alternative.odds),
+        "differs": [names[place.scan] for place in alternative.places],
+        "scans": [
+            {
+                "name": names[place.scan],
+                "component": place.component,
+                "world_T_scan": _placed(place.world_T_scan),
+            }
+            for place in alternative.places
+        ],
+    }
+
+
+def _placed(pose: Array | None) -> list[list[float]] | None:
+    return None if pose is None else _matrix(pose)
 
 
 def _matrix(pose: Array) -> list[list[float]]:

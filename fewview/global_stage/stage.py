@@ -9,6 +9,7 @@ import numpy as np
 
 from fewview.config import GlobalConfig
 from fewview.global_stage import discrete, reasons
+from fewview.global_stage.alternatives import alternatives
 from fewview.global_stage.belief import drop_doubtful
 from fewview.global_stage.model import Problem, build
 from fewview.global_stage.placement import State, agreement_now
@@ -43,10 +44,11 @@ def solve(
 
     Returns:
         Components of two scans or more, largest first, each in its own world frame; scans that no
-        component holds are unplaced, with the reason.
+        component holds are unplaced, with the reason. Alternatives are what else they could be.
     """
     problem = build(len(names), pairs, config)
-    state = discrete.search(problem, config.restarts, seed)
+    found = discrete.search(problem, config.restarts, seed, 1 + config.alternatives)
+    state = found[0].copy()
     belief = drop_doubtful(problem, state, config.min_probability)
     groups = _groups(state)
     parts = [_place(problem, state, pairs, levellings, group) for group in groups]
@@ -69,6 +71,9 @@ def solve(
         selected={(e.source, e.target): e.rank for part in parts for e in part.edges},
         initial_world_T_scan={i: pose for part in parts for i, pose in part.initial.items()},
         edges=tuple(edge for part in parts for edge in part.edges),
+        alternatives=alternatives(
+            problem, state, found, placements, levellings, config.alternatives
+        ),
     )
 
 
