@@ -140,7 +140,7 @@ def test_without_any_pair_nothing_is_placed() -> None:
 
 
 def test_ten_runs_are_one() -> None:
-    poses, pairs = planted_graph(11, 7, 3, link_rate=0.7)
+    poses, pairs = planted_graph(11, 5, 3, link_rate=0.7)
     runs = [run(poses, pairs, GlobalConfig(restarts=4), seed=3) for _ in range(10)]
     for other in runs[1:]:
         assert other.selected == runs[0].selected
@@ -184,7 +184,8 @@ def test_where_else_a_scan_could_stand() -> None:
     poses, pairs, elsewhere = torn_graph()
     solution = run(poses, pairs)
     assert solution.placements[4].placed
-    [alternative] = [a for a in solution.alternatives if [p.scan for p in a.places] == [4]]
+    alternative = solution.alternatives[0]
+    assert [p.scan for p in alternative.places] == [4]
     assert alternative.odds == pytest.approx(0.5, rel=0.05)
     [place] = alternative.places
     assert place.component == 0
@@ -195,12 +196,14 @@ def test_where_else_a_scan_could_stand() -> None:
 
 
 def test_dropped_scans_are_shown_where_they_would_stand() -> None:
+    """The best labelling itself is the first alternative where doubtful scans left it."""
     poses, pairs, _ = torn_graph()
-    solution = run(poses, pairs, GlobalConfig(chance_agreement=0.03, min_probability=0.599))
-    strict = run(poses, pairs, GlobalConfig(min_probability=0.65))
-    assert solution.placements[4].placed
-    assert not strict.placements[4].placed
-    assert {p.scan for a in strict.alternatives for p in a.places} >= {4}
+    problem_free = run(poses, pairs).placements[4]
+    assert problem_free.placed
+    solution = run(poses, pairs, GlobalConfig(chance_agreement=0.2))
+    assert not solution.placements[4].placed
+    first = solution.alternatives[0]
+    assert (first.margin, [p.scan for p in first.places]) == (0.0, [4])
 
 
 def test_no_alternatives_are_made_when_none_are_asked_for() -> None:

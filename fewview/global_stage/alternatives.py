@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -20,6 +21,9 @@ from fewview.types import (
     ScanPlacement,
 )
 
+LEAST_ODDS = 0.01
+"""Alternatives of smaller odds are not worth a user's time."""
+
 
 def alternatives(
     problem: Problem,
@@ -29,7 +33,7 @@ def alternatives(
     levellings: Sequence[Levelling],
     count: int,
 ) -> tuple[Alternative, ...]:
-    """The labellings that say something which the answer does not.
+    """The probable labellings that say something which the answer does not.
 
     Args:
         problem: the candidates.
@@ -40,14 +44,13 @@ def alternatives(
         count: alternatives at most.
     """
     best = objective(problem, found[0])
-    others = [state for state in found if says_new(problem, state, [answer])]
-    return tuple(
-        Alternative(
-            best - objective(problem, state),
-            _places(problem, answer, state, placements, levellings),
-        )
-        for state in others[:count]
-    )
+    margins = [best - objective(problem, state) for state in found]
+    others = [
+        Alternative(margin, _places(problem, answer, state, placements, levellings))
+        for margin, state in zip(margins, found, strict=True)
+        if margin <= -math.log(LEAST_ODDS) and says_new(problem, state, [answer])
+    ]
+    return tuple(others[:count])
 
 
 def _places(
