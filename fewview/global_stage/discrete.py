@@ -3,13 +3,15 @@
 Each start grows a maximum spanning tree over the candidates, its keys perturbed by Gumbel noise
 in all starts but the first, so that trees are drawn by their candidates' odds. Then scans, and the
 blocks of scans on either side of a weak link, are moved to the best place that any candidate
-proposes, or set apart, until nothing improves the objective of `model`.
+proposes, or set apart, until nothing improves the objective of `model`. Joining costs nothing at
+first: links that are too weak alone stay until it is known which loops they close.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,7 +22,7 @@ from fewview.global_stage.model import Problem
 from fewview.global_stage.placement import State, gain_matrix, objective, options
 from fewview.types import Array, BoolArray
 
-POLISHED = 4
+POLISHED = 8
 """Starts, best after one pass over the scans, that are searched to the end."""
 
 TRIALS = 64
@@ -43,14 +45,16 @@ def search(problem: Problem, restarts: int, seed: int, count: int = 1) -> list[S
         count: labellings at most; there is always one.
     """
     rng = np.random.default_rng(seed)
+    free = replace(problem, join_cost=0.0)
     found: list[State] = []
     for start in range(max(restarts, 1)):
         noise = rng.gumbel(size=len(problem.source)) if start else np.zeros(len(problem.source))
         state = spanning_tree(problem, np.log(problem.evidence) + noise)
         for scan in rng.permutation(problem.scans):
-            _improve(problem, state, np.arange(problem.scans) == scan)
+            _improve(free, state, np.arange(problem.scans) == scan)
         found.append(state)
-    polished = [_polish(problem, state) for state in _ranked(problem, found)[:POLISHED]]
+    started = _ranked(free, found)[:POLISHED]
+    polished = [_polish(problem, _polish(free, state)) for state in started]
     return _distinct_best(problem, _ranked(problem, polished), count)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from benchmark.inference.methods import Method
 from benchmark.inference.problems import Posed
 from benchmark.table import Table
-from fewview.evaluation import absolute_errors
+from fewview.evaluation.gauge import absolute_errors
 from fewview.global_stage.placement import State, objective
 from fewview.types import Array
 

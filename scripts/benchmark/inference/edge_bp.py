@@ -50,7 +50,7 @@ def _priors(problem: Problem, label: IntArray) -> Array:
     probability = np.where(label >= 0, problem.probability[label], 0.0)
     none = 1.0 - probability.sum(axis=1, keepdims=True)
     with np.errstate(divide="ignore"):
-        return np.log(np.concatenate([none, probability], axis=1))
+        return np.asarray(np.log(np.concatenate([none, probability], axis=1)))
 
 
 def _triangles(problem: Problem) -> IntArray:

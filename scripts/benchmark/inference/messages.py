@@ -30,11 +30,12 @@ def best_labels(
     reverse = np.roll(np.arange(len(sender)), len(pair))
     table = np.concatenate([gain, np.swapaxes(gain, 1, 2)])
     message = np.zeros((len(sender), unary.shape[1]))
-    best, best_score = np.argmax(unary, axis=1), -np.inf
+    best: IntArray = np.argmax(unary, axis=1)
+    best_score = -np.inf
     for _ in range(ROUNDS):
         belief = unary.copy()
         np.add.at(belief, receiver, message)
-        label = np.argmax(belief, axis=1)
+        label: IntArray = np.argmax(belief, axis=1)
         if (now := score(label)) > best_score:
             best, best_score = label, now
         cavity = belief[sender] - message[reverse]

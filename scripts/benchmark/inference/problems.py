@@ -24,11 +24,12 @@ from fewview.types import Array, PairResult
 
 SIZES = (5, 10, 15, 20)
 TOP_K = 5
-REPEATS = 4
+REPEATS = 2
 DIFFICULTIES: Mapping[str, Mapping[str, Any]] = {
-    "many links": {"link_rate": 0.5, "strength": (0.1, 0.9)},
-    "few links": {"link_rate": 0.25, "strength": (0.1, 0.6)},
-    "look-alikes": {"link_rate": 0.35, "strength": (0.1, 0.6), "lookalike": 0.5},
+    "many links": {"link_rate": 0.5, "strength": (0.2, 0.9)},
+    "few links": {"link_rate": 0.3, "strength": (0.3, 0.9)},
+    "look-alikes": {"link_rate": 0.4, "strength": (0.3, 0.9), "lookalike": 0.7},
+    "weak links": {"link_rate": 0.6, "strength": (0.1, 0.5)},
 }
 """Arguments of `planted_graph`."""
 POOLED = "pooled"
