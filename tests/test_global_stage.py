@@ -197,13 +197,17 @@ def test_where_else_a_scan_could_stand() -> None:
 
 def test_dropped_scans_are_shown_where_they_would_stand() -> None:
     """The best labelling itself is the first alternative where doubtful scans left it."""
-    poses, pairs, _ = torn_graph()
-    problem_free = run(poses, pairs).placements[4]
-    assert problem_free.placed
-    solution = run(poses, pairs, GlobalConfig(chance_agreement=0.2))
-    assert not solution.placements[4].placed
+    poses = room_poses(np.random.default_rng(1), 4)
+    links = {(0, 1): 0.95, (1, 2): 0.65, (2, 3): 0.6}
+    pairs = [
+        pair_result(s, t, [candidate(0, se3.inverse(poses[t]) @ poses[s], p)])
+        for (s, t), p in links.items()
+    ]
+    solution = run(poses, pairs)
+    assert [p.placed for p in solution.placements] == [True, True, True, False]
     first = solution.alternatives[0]
-    assert (first.margin, [p.scan for p in first.places]) == (0.0, [4])
+    assert (first.margin, [p.scan for p in first.places]) == (0.0, [3])
+    assert first.places[0].component == 0
 
 
 def test_no_alternatives_are_made_when_none_are_asked_for() -> None:
