@@ -35,7 +35,7 @@ def main() -> None:
     if not cost_network.available():
         print("toulbar2 is left out: pip install pytoulbar2", file=sys.stderr)
     config, known = Config().global_stage, methods()
-    problems = [planted(config)]
+    problems = [planted(config, options.quick)]
     if options.problems:
         problems.append(filed(options.problems, config))
     if options.dataset != NO_DATASET:

@@ -24,7 +24,7 @@ from fewview.types import Array, PairResult
 
 SIZES = (5, 10, 15, 20)
 TOP_K = 5
-REPEATS = 2
+REPEATS, QUICK_REPEATS = 2, 1
 DIFFICULTIES: Mapping[str, Mapping[str, Any]] = {
     "many links": {"link_rate": 0.5, "strength": (0.2, 0.9)},
     "few links": {"link_rate": 0.3, "strength": (0.3, 0.9)},
@@ -51,8 +51,9 @@ class Posed:
     truth: Array
 
 
-def planted(config: GlobalConfig, repeats: int = REPEATS) -> Iterator[Posed]:
+def planted(config: GlobalConfig, quick: bool) -> Iterator[Posed]:
     """Problems of every size and difficulty."""
+    repeats = QUICK_REPEATS if quick else REPEATS
     for size in SIZES:
         for name, arguments in DIFFICULTIES.items():
             for seed in range(repeats):
