@@ -48,6 +48,7 @@ def main() -> None:
     results = {
         "dataset": options.dataset,
         "seed": options.seed,
+        "quick": options.quick,
         "methods": {name: method.label for name, method in known.items()},
         "summary": summary,
         "rows": rows,
