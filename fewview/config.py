@@ -108,8 +108,12 @@ class GlobalConfig:
     """Refine the poses of a component by the surfaces of all its scans at once."""
     plane_factors: bool = False
     """Let large planes hold scans together in the registration that see different parts of them."""
+    alternatives: int = 3
+    """Other answers that are reported beside the best, at most."""
 
     def __post_init__(self) -> None:
+        if self.alternatives < 0:
+            raise ConfigError("global_stage.alternatives must be 0 or more")
         for name in ("chance_agreement", "levelled_chance_agreement", "min_probability"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ConfigError(f"global_stage.{name} must be above 0 and below 1")

@@ -11,7 +11,14 @@ from typing import Any
 import numpy as np
 
 from fewview import __version__, ply
-from fewview.types import Array, PairResult, PoseCandidate, Reconstruction, Registration
+from fewview.types import (
+    Alternative,
+    Array,
+    PairResult,
+    PoseCandidate,
+    Reconstruction,
+    Registration,
+)
 
 
 def as_dict(result: Reconstruction, mesh_path: Path) -> dict[str, Any]:
@@ -30,7 +37,7 @@ def as_dict(result: Reconstruction, mesh_path: Path) -> dict[str, Any]:
                 "name": p.name,
                 "placed": p.placed,
                 "component": p.component,
-                "world_T_scan": None if p.world_T_scan is None else _matrix(p.world_T_scan),
+                "world_T_scan": _placed(p.world_T_scan),
                 "probability": _number(p.probability),
                 "reason": p.reason,
             }
@@ -63,6 +70,7 @@ def as_dict(result: Reconstruction, mesh_path: Path) -> dict[str, Any]:
             }
             for e in solution.edges
         ],
+        "alternatives": [_alternative(a, names) for a in solution.alternatives],
         "timings_s": {k: _number(v) for k, v in result.timings_s.items()},
         "mesh": {
             "vertices": len(result.meshes[0].vertices) if result.meshes else 0,
@@ -159,6 +167,27 @@ def _registration(registration: Registration | None) -> dict[str, Any] | None:
         "residual_after_m": _number(registration.residual_after_m),
         "accepted": registration.accepted,
     }
+
+
+def _alternative(alternative: Alternative, names: Sequence[str]) -> dict[str, Any]:
+    """Only the scans that stand otherwise; without a pose they stand alone."""
+    return {
+        "margin": _number(alternative.margin),
+        "odds": _number(alternative.odds),
+        "differs": [names[place.scan] for place in alternative.places],
+        "scans": [
+            {
+                "name": names[place.scan],
+                "component": place.component,
+                "world_T_scan": _placed(place.world_T_scan),
+            }
+            for place in alternative.places
+        ],
+    }
+
+
+def _placed(pose: Array | None) -> list[list[float]] | None:
+    return None if pose is None else _matrix(pose)
 
 
 def _matrix(pose: Array) -> list[list[float]]:

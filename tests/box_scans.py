@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from planted_graphs import room_poses, upright_levelling
 
+from benchmark.planted_graphs import room_poses, upright_levelling
 from fewview.geometry import se3
 from fewview.global_stage.shared_planes import LEAST_POINTS
 from fewview.types import (

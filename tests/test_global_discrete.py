@@ -7,42 +7,20 @@ import itertools
 
 import numpy as np
 import pytest
-from planted_graphs import Noise, candidate, pair_result, planted_graph, room_poses
 
+from benchmark.inference.enumeration import best_forest, forests
+from benchmark.planted_graphs import Noise, candidate, pair_result, planted_graph, room_poses
 from fewview.config import GlobalConfig
 from fewview.errors import ConfigError
 from fewview.geometry import se3
 from fewview.global_stage import discrete
 from fewview.global_stage.belief import drop_doubtful, judge
-from fewview.global_stage.model import Problem, build
+from fewview.global_stage.comparison import distinct, moved_scans, says_new
+from fewview.global_stage.model import build
 from fewview.global_stage.placement import State, agreement_now, gain_matrix, objective, options
 from fewview.types import Array, PairResult
 
 CONFIG = GlobalConfig()
-
-
-def best_by_enumeration(problem: Problem) -> float:
-    """The highest objective over all spanning forests of candidates, at most one a pair."""
-    choices = [
-        [-1, *np.flatnonzero(problem.pair == pair).tolist()] for pair in np.unique(problem.pair)
-    ]
-    forests = (
-        [c for c in combination if c >= 0]
-        for combination in itertools.product(*choices)
-        if sum(c >= 0 for c in combination) < problem.scans
-    )
-    return max(objective(problem, chained(problem, forest)) for forest in forests)
-
-
-def chained(problem: Problem, forest: list[int]) -> State:
-    state = State.apart(problem.scans)
-    for c in forest:
-        s, t = problem.source[c], problem.target[c]
-        block = state.component == state.component[s]
-        motion = state.pose[t] @ problem.motion[c] @ se3.inverse(state.pose[s])
-        if state.component[s] != state.component[t]:
-            state.move(block, motion, int(state.component[t]))
-    return state
 
 
 def linked(poses: Array, links: dict[tuple[int, int], float]) -> list[PairResult]:
@@ -56,7 +34,7 @@ def linked(poses: Array, links: dict[tuple[int, int], float]) -> list[PairResult
 def believed(links: dict[tuple[int, int], float], scans: int, config: GlobalConfig) -> Array:
     poses = room_poses(np.random.default_rng(5), scans)
     problem = build(scans, linked(poses, links), config)
-    state = discrete.search(problem, config.restarts, 0)
+    [state] = discrete.search(problem, config.restarts, 0)
     return judge(problem, state).probability
 
 
@@ -65,14 +43,62 @@ def test_search_reaches_the_best_of_all_forests(seed: int) -> None:
     noise = Noise(6.0, 0.2) if seed % 2 else Noise()
     _, pairs = planted_graph(seed, 4, 2, link_rate=0.9, noise=noise)
     problem = build(4, pairs, CONFIG)
-    found = discrete.search(problem, CONFIG.restarts, seed)
-    assert objective(problem, found) >= best_by_enumeration(problem) - 1e-6
+    [found] = discrete.search(problem, CONFIG.restarts, seed)
+    best = objective(problem, best_forest(problem, 0))
+    assert objective(problem, found) >= best - 1e-6
+
+
+def test_runners_up_are_those_of_all_forests() -> None:
+    short = []
+    for seed in range(6):
+        _, pairs = planted_graph(seed, 4, 2, link_rate=0.9, lookalike=0.5)
+        problem = build(4, pairs, CONFIG)
+        ranked = sorted(forests(problem), key=lambda state: -objective(problem, state))
+        expected = [objective(problem, state) for state in distinct(problem, ranked, 4)]
+        found = [objective(problem, s) for s in discrete.search(problem, CONFIG.restarts, seed, 4)]
+        assert found == sorted(found, reverse=True)
+        short += [e - f for e, f in zip(expected, found, strict=True)]
+    assert max(short) < 0.1
+    assert np.mean(np.array(short) < 1e-6) > 0.9
+
+
+def test_the_best_does_not_depend_on_how_many_are_asked_for() -> None:
+    _, pairs = planted_graph(3, 7, 3)
+    problem = build(7, pairs, CONFIG)
+    [one] = discrete.search(problem, 4, 0)
+    several = discrete.search(problem, 4, 0, 4)
+    assert objective(problem, several[0]) >= objective(problem, one)
+    assert len(several) == 4
+    for k, state in enumerate(several):
+        assert says_new(problem, state, several[:k])
+
+
+def test_taking_scans_apart_says_nothing_new() -> None:
+    poses = room_poses(np.random.default_rng(0), 3)
+    problem = build(3, linked(poses, {(0, 1): 0.8, (1, 2): 0.8, (0, 2): 0.8}), CONFIG)
+    [whole] = discrete.search(problem, 4, 0, 3)
+    less = whole.copy()
+    less.detach(np.arange(3) == 2)
+    assert not says_new(problem, less, [whole])
+    assert says_new(problem, whole, [less])
+
+
+def test_moved_scans_are_the_smaller_side() -> None:
+    poses = room_poses(np.random.default_rng(0), 6)
+    links = dict.fromkeys(itertools.combinations(range(6), 2), 0.8)
+    problem = build(6, linked(poses, links), CONFIG)
+    [state] = discrete.search(problem, 4, 0)
+    other = state.copy()
+    other.move(np.isin(np.arange(6), [1, 4]), se3.exp(np.array([0, 0, 1.5, 0, 2.0, 0])), 0)
+    other.component[:] = state.component
+    np.testing.assert_array_equal(moved_scans(problem, other, state), [1, 4])
+    np.testing.assert_array_equal(moved_scans(problem, state, state), [])
 
 
 def test_joining_by_one_candidate_scores_its_posterior_odds() -> None:
     poses = room_poses(np.random.default_rng(0), 2)
     problem = build(2, linked(poses, {(0, 1): 0.8}), CONFIG)
-    score = objective(problem, chained(problem, [0]))
+    score = objective(problem, discrete.spanning_tree(problem, np.zeros(1)))
     assert score == pytest.approx(np.log(0.8 / 0.2 + CONFIG.chance_agreement), abs=1e-9)
 
 
@@ -80,7 +106,7 @@ def test_the_acceptance_threshold_moves_the_odds() -> None:
     poses = room_poses(np.random.default_rng(0), 2)
     strict = GlobalConfig(min_probability=0.9)
     problem = build(2, linked(poses, {(0, 1): 0.8}), strict)
-    state = discrete.search(problem, 4, 0)
+    [state] = discrete.search(problem, 4, 0)
     assert len(np.unique(state.component)) == 2
 
 
@@ -164,7 +190,7 @@ def test_doubtful_parts_keep_a_component_of_their_own() -> None:
     poses = room_poses(np.random.default_rng(1), 6)
     links = {(0, 1): 0.9, (1, 2): 0.9, (0, 2): 0.9, (3, 4): 0.9, (4, 5): 0.9, (3, 5): 0.9}
     problem = build(6, linked(poses, {**links, (2, 3): 0.6}), CONFIG)
-    state = discrete.search(problem, 8, 0)
+    [state] = discrete.search(problem, 8, 0)
     assert len(np.unique(state.component)) == 1
     belief = drop_doubtful(problem, state, 0.8)
     assert len(np.unique(state.component)) == 2
@@ -178,7 +204,7 @@ def test_probabilities_hold_on_planted_graphs() -> None:
     for seed in range(25):
         poses, pairs = planted_graph(seed, 7, 3, link_rate=0.5, strength=(0.2, 0.9))
         problem = build(7, pairs, config)
-        state = discrete.search(problem, 4, seed)
+        [state] = discrete.search(problem, 4, seed)
         belief = drop_doubtful(problem, state, 0.5)
         for label in np.unique(state.component):
             members = np.flatnonzero(state.component == label)
@@ -201,7 +227,7 @@ def largest_true_part(truth: Array, found: Array) -> Array:
 def test_long_chains_of_moves_stay_rigid() -> None:
     poses, pairs = planted_graph(4, 12, 5, link_rate=0.3)
     problem = build(12, pairs, CONFIG)
-    state = discrete.search(problem, 8, 0)
+    [state] = discrete.search(problem, 8, 0)
     turn = state.pose[:, :3, :3]
     np.testing.assert_allclose(
         turn @ np.swapaxes(turn, 1, 2), np.tile(np.eye(3), (12, 1, 1)), atol=1e-9
@@ -220,7 +246,7 @@ def test_links_between_repeated_views_count_once(overlap: float, parts: int) -> 
         probability, shared = (0.95, overlap) if together else (0.06, 0.0)
         pairs.append(pair_result(s, t, [candidate(0, motion, probability, shared)]))
     problem = build(6, pairs, CONFIG)
-    state = discrete.search(problem, 8, 0)
+    [state] = discrete.search(problem, 8, 0)
     assert len(np.unique(state.component)) == 1
     drop_doubtful(problem, state, CONFIG.min_probability)
     assert len(np.unique(state.component)) == parts

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planted_graphs import Noise, candidate, room_poses, shaken
 
+from benchmark.planted_graphs import Noise, candidate, room_poses, shaken
 from fewview.geometry import se3
 from fewview.global_stage.pose_graph import CAUCHY_SCALE, Edge, covariance, optimise
 from fewview.types import Array, CandidateOrigin

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from box_scans import SCANS, box, corridor, room, scan_of
-from planted_graphs import candidate, room_poses
 
+from benchmark.planted_graphs import candidate, room_poses
 from fewview.config import GlobalConfig
 from fewview.geometry import se3
 from fewview.global_stage import refine

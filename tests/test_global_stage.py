@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from planted_graphs import (
+
+from benchmark.planted_graphs import (
     Noise,
     candidate,
     pair_result,
@@ -16,8 +17,8 @@ from planted_graphs import (
     shaken,
     upright_levelling,
 )
-
 from fewview.config import GlobalConfig
+from fewview.errors import ConfigError
 from fewview.geometry import se3
 from fewview.global_stage import solve
 from fewview.types import Array, GlobalSolution, PairResult
@@ -139,7 +140,7 @@ def test_without_any_pair_nothing_is_placed() -> None:
 
 
 def test_ten_runs_are_one() -> None:
-    poses, pairs = planted_graph(11, 7, 3, link_rate=0.7)
+    poses, pairs = planted_graph(11, 5, 3, link_rate=0.7)
     runs = [run(poses, pairs, GlobalConfig(restarts=4), seed=3) for _ in range(10)]
     for other in runs[1:]:
         assert other.selected == runs[0].selected
@@ -167,3 +168,50 @@ def test_the_order_of_the_scans_does_not_matter(seed: int) -> None:
     angle, shift = se3.distance(gauge @ theirs, ours)
     assert angle.max() < np.radians(0.5)
     assert shift.max() < 0.02
+
+
+def torn_graph() -> tuple[Array, list[PairResult], Array]:
+    """Five scans that hold together, but for scan 4, with two places; its second, by scan 0."""
+    poses, pairs = outlier_graph(8, 5, right_share=1.0)
+    kept = [p for p in pairs if 4 not in (p.source, p.target)]
+    true = se3.inverse(poses[4]) @ poses[0]
+    false = true @ se3.exp(np.array([0.0, 0.0, 1.5, 0.5, 2.0, 0.0]))
+    torn = pair_result(0, 4, [candidate(0, true, 0.6), candidate(1, false, 0.3)])
+    return poses, [*kept, torn], poses[0] @ se3.inverse(false)
+
+
+def test_where_else_a_scan_could_stand() -> None:
+    poses, pairs, elsewhere = torn_graph()
+    solution = run(poses, pairs)
+    assert solution.placements[4].placed
+    alternative = solution.alternatives[0]
+    assert [p.scan for p in alternative.places] == [4]
+    assert alternative.odds == pytest.approx(0.5, rel=0.05)
+    [place] = alternative.places
+    assert place.component == 0
+    gauge = solution.placements[0].world_T_scan @ se3.inverse(poses[0])
+    angle, shift = se3.distance(place.world_T_scan, gauge @ elsewhere)
+    assert angle < np.radians(3.0)
+    assert shift < 0.1
+
+
+def test_dropped_scans_are_shown_where_they_would_stand() -> None:
+    """The best labelling itself is the first alternative where doubtful scans left it."""
+    poses = room_poses(np.random.default_rng(1), 4)
+    links = {(0, 1): 0.95, (1, 2): 0.65, (2, 3): 0.6}
+    pairs = [
+        pair_result(s, t, [candidate(0, se3.inverse(poses[t]) @ poses[s], p)])
+        for (s, t), p in links.items()
+    ]
+    solution = run(poses, pairs)
+    assert [p.placed for p in solution.placements] == [True, True, True, False]
+    first = solution.alternatives[0]
+    assert (first.margin, [p.scan for p in first.places]) == (0.0, [3])
+    assert first.places[0].component == 0
+
+
+def test_no_alternatives_are_made_when_none_are_asked_for() -> None:
+    poses, pairs, _ = torn_graph()
+    assert run(poses, pairs, GlobalConfig(alternatives=0)).alternatives == ()
+    with pytest.raises(ConfigError, match="alternatives"):
+        GlobalConfig(alternatives=-1)

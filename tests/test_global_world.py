@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from planted_graphs import room_poses, upright_levelling
 
+from benchmark.planted_graphs import room_poses, upright_levelling
 from fewview.geometry import se3
 from fewview.global_stage.world import find_world
 from fewview.types import Array, Levelling

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from fewview import scans as readers
 from fewview.cli import ALL_PLACED, BAD_INPUT, INTERRUPTED, PARTIAL, main
 from fewview.ply import read_ply
 from fewview.report import save
-from fewview.types import Observer, Reconstruction
+from fewview.types import Alternative, AlternativePlace, Observer, Reconstruction
 
 RESULTS = ("mesh.ply", "mesh.json", "mesh.tum.txt")
 
@@ -81,6 +82,22 @@ def test_report_follows_the_contract(result: Reconstruction, tmp_path: Path) -> 
     lines = (tmp_path / "mesh.tum.txt").read_text().splitlines()
     first = [s for s in report["scans"] if s["component"] == 0]
     assert len(lines) == len(first) and all(len(line.split()) == 8 for line in lines)
+
+
+def test_the_report_lists_what_else_the_scans_could_be(
+    result: Reconstruction, tmp_path: Path
+) -> None:
+    name = result.scans.scans[1].name
+    places = (AlternativePlace(1, 0, np.eye(4)), AlternativePlace(2, None, None))
+    solution = replace(result.solution, alternatives=(Alternative(0.5, places),))
+    path = save(replace(result, solution=solution), tmp_path / "mesh.ply")
+    [told] = json.loads(path.read_text())["alternatives"]
+    assert told["margin"] == 0.5
+    assert told["odds"] == pytest.approx(np.exp(-0.5))
+    assert told["differs"] == [name, result.scans.scans[2].name]
+    first, second = told["scans"]
+    assert first == {"name": name, "component": 0, "world_T_scan": np.eye(4).tolist()}
+    assert (second["component"], second["world_T_scan"]) == (None, None)
 
 
 def test_world_is_level_and_stands_on_the_floor(result: Reconstruction) -> None:

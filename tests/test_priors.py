@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from planted_graphs import (
+
+from benchmark.planted_graphs import (
     Noise,
     candidate,
     pair_result,
@@ -19,7 +20,6 @@ from planted_graphs import (
     shaken,
     upright_levelling,
 )
-
 from fewview import pipeline, scans
 from fewview.cli import ALL_PLACED, BAD_INPUT, main
 from fewview.completion.levelling import level, turns_upright, upright

@@ -23,6 +23,8 @@ from fewview.errors import FewviewError
 from fewview.geometry import camera, se3
 from fewview.recording import Recorder, layout, pictures, tables, view, viewer
 from fewview.types import (
+    Alternative,
+    AlternativePlace,
     Array,
     CandidateOrigin,
     ColouredMesh,
@@ -338,6 +340,14 @@ def test_headline_of_one_component_and_of_none() -> None:
     )
     assert one.headline == "2 of 5 scans placed"
     assert replace(one, components=()).headline == "0 of 5 scans placed"
+
+
+def test_other_answers_name_what_they_move() -> None:
+    solution = _solution()
+    assert "Other answers" not in tables.answer(solution)
+    places = tuple(AlternativePlace(i, 0, _pose(i)) for i in (0, 3))
+    other = replace(solution, alternatives=(Alternative(1.0, places),))
+    assert f"| {NAMES[0]}, {NAMES[3]} | 0.37 |" in tables.answer(other).splitlines()
 
 
 def test_reasons_stand_below_the_tables() -> None:

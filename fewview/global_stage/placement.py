@@ -34,6 +34,10 @@ class State:
         """Every scan alone in a frame of its own."""
         return cls(np.tile(np.eye(4), (scans, 1, 1)), np.arange(scans, dtype=np.int64))
 
+    def copy(self) -> State:
+        """A labelling that can be changed on its own."""
+        return State(self.pose.copy(), self.component.copy())
+
     def detach(self, block: BoolArray) -> None:
         """Give the scans of ``block`` a frame of their own."""
         unused = np.setdiff1d(np.arange(len(self.component) + 1), self.component)
@@ -147,8 +151,7 @@ def agreement(
     trace = motions[:, :3, :3].reshape(-1, 9) @ implied[:, :3, :3].reshape(-1, 9).T
     seen = _displacement2(motions, implied, moving)
     seeing = _displacement2(se3.inverse(motions), se3.inverse(implied), fixed)
-    ratio2 = (3.0 - trace) / problem.max_chord2 + 0.5 * (seen + seeing) / problem.max_distance2
-    return np.asarray(np.square(np.maximum(1.0 - ratio2 / KERNEL_RADIUS**2, 0.0)))
+    return _biweight(problem, trace, 0.5 * (seen + seeing))
 
 
 def _displacement2(motions: Array, implied: Array, points: Array) -> Array:
@@ -178,18 +181,32 @@ def agreement_now(problem: Problem, state: State) -> Array:
     """(m,) agreement of every candidate with the state; 0 between components."""
     out = np.zeros(len(problem.source))
     inside = np.flatnonzero(state.component[problem.source] == state.component[problem.target])
-    pose_s, pose_t = (
-        state.pose[problem.source[inside]],
-        state.pose[problem.target[inside]],
-    )
-    error = se3.inverse(pose_t) @ pose_s
-    motion, inverse = problem.motion[inside], problem.inverse_motion[inside]
-    trace = np.einsum("nij,nij->n", error[:, :3, :3], motion[:, :3, :3])
-    seen = np.square(error[:, :3, 3] - motion[:, :3, 3]).sum(-1)
-    seeing = np.square(se3.inverse(error)[:, :3, 3] - inverse[:, :3, 3]).sum(-1)
-    ratio2 = (3.0 - trace) / problem.max_chord2 + 0.5 * (seen + seeing) / problem.max_distance2
-    out[inside] = np.square(np.maximum(1.0 - ratio2 / KERNEL_RADIUS**2, 0.0))
+    pose_s, pose_t = state.pose[problem.source[inside]], state.pose[problem.target[inside]]
+    out[inside] = likeness(problem, se3.inverse(pose_t) @ pose_s, problem.motion[inside])
     return out
+
+
+def likeness(problem: Problem, one: Array, other: Array) -> Array:
+    """How alike two relative poses are, as `agreement` measures it.
+
+    Args:
+        problem: for the tolerances.
+        one, other: (..., 4, 4) target_T_source, broadcast against each other.
+
+    Returns:
+        (...) in 0..1.
+    """
+    trace = np.einsum("...ij,...ij->...", one[..., :3, :3], other[..., :3, :3])
+    seen = np.square(one[..., :3, 3] - other[..., :3, 3]).sum(-1)
+    back, other_back = se3.inverse(one)[..., :3, 3], se3.inverse(other)[..., :3, 3]
+    seeing = np.square(back - other_back).sum(-1)
+    return _biweight(problem, trace, 0.5 * (seen + seeing))
+
+
+def _biweight(problem: Problem, trace: Array, distance2: Array) -> Array:
+    """Tukey's biweight of a rotation, given by its trace, and a squared distance."""
+    ratio2 = (3.0 - trace) / problem.max_chord2 + distance2 / problem.max_distance2
+    return np.asarray(np.square(np.maximum(1.0 - ratio2 / KERNEL_RADIUS**2, 0.0)))
 
 
 def gain_matrix(problem: Problem, state: State) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from fewview.config import GlobalConfig
 from fewview.geometry import se3
 from fewview.global_stage import discrete, reasons
+from fewview.global_stage.alternatives import alternatives
 from fewview.global_stage.belief import drop_doubtful
 from fewview.global_stage.model import Problem, build
 from fewview.global_stage.placement import State, agreement_now
@@ -47,11 +48,13 @@ def solve(
 
     Returns:
         Components of two scans or more, or with a fixed one, largest first, each in its own world
-        frame; scans that no component holds are unplaced, with the reason.
+        frame; scans that no component holds are unplaced, with the reason. Alternatives are what
+        else they could be.
     """
     fixed = fixed or {}
     problem = build(len(names), pairs, config, fixed)
-    state = discrete.search(problem, config.restarts, seed)
+    found = discrete.search(problem, config.restarts, seed, 1 + config.alternatives)
+    state = found[0].copy()
     belief = drop_doubtful(problem, state, config.min_probability)
     groups = _groups(state, fixed)
     parts = [_place(problem, state, pairs, levellings, group, fixed) for group in groups]
@@ -74,6 +77,9 @@ def solve(
         selected={(e.source, e.target): e.rank for part in parts for e in part.edges},
         initial_world_T_scan={i: pose for part in parts for i, pose in part.initial.items()},
         edges=tuple(edge for part in parts for edge in part.edges),
+        alternatives=alternatives(
+            problem, state, found, placements, levellings, config.alternatives
+        ),
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from fewview.recording.rooms import RoomShape
 from fewview.types import (
+    Alternative,
     GlobalSolution,
     PairResult,
     PoseCandidate,
@@ -40,6 +41,9 @@ def answer(solution: GlobalSolution) -> str:
         rows = ((p.name, _percent(p.probability)) for p in unplaced)
         parts += ["## Not placed", _table(("scan", "probability"), rows)]
         parts += [f"**{escaped(p.name)}**: {escaped(p.reason)}" for p in unplaced if p.reason]
+    if solution.alternatives:
+        other = ((_moved(a, solution), f"{a.odds:.2f}") for a in solution.alternatives)
+        parts += ["## Other answers", _table(("scans that could stand otherwise", "odds"), other)]
     return "\n\n".join(parts)
 
 
@@ -123,6 +127,10 @@ def _candidate(candidate: PoseCandidate, chosen: bool) -> tuple[str, ...]:
         candidate.origin.value,
         support,
     )
+
+
+def _moved(alternative: Alternative, solution: GlobalSolution) -> str:
+    return ", ".join(solution.placements[place.scan].name for place in alternative.places)
 
 
 def _component(index: int, solution: GlobalSolution) -> str:

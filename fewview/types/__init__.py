@@ -24,6 +24,8 @@ from fewview.types.pairs import (
     Scales,
 )
 from fewview.types.results import (
+    Alternative,
+    AlternativePlace,
     ColouredMesh,
     Component,
     EdgeReport,
@@ -44,6 +46,8 @@ from fewview.types.rooms import (
 from fewview.types.scans import Frame, FrameSource, Intrinsics, Scan, ScanSet
 
 __all__ = [
+    "Alternative",
+    "AlternativePlace",
     "Array",
     "BoolArray",
     "CandidateOrigin",

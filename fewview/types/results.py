@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
@@ -80,6 +81,41 @@ class Component:
 
 
 @dataclass(frozen=True)
+class AlternativePlace:
+    """Where a scan stands in an alternative.
+
+    Attributes:
+        scan: its index.
+        component: whose world the pose is in; numbers after the answer's are components of the
+            alternative's own; None where the alternative leaves the scan alone.
+        world_T_scan: (4, 4), before any pose graph, or None.
+    """
+
+    scan: int
+    component: int | None
+    world_T_scan: Array | None
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another answer of the discrete stage.
+
+    Attributes:
+        margin: log posterior of the best labelling minus its own, at least 0; 0 for the best
+            itself, which is an alternative where doubtful scans were dropped from it.
+        places: of the scans that stand otherwise than in the answer, ascending.
+    """
+
+    margin: float
+    places: tuple[AlternativePlace, ...]
+
+    @property
+    def odds(self) -> float:
+        """Posterior odds against the best labelling."""
+        return math.exp(-self.margin)
+
+
+@dataclass(frozen=True)
 class GlobalSolution:
     """The answer of the global stage.
 
@@ -89,6 +125,7 @@ class GlobalSolution:
         selected: (source, target) -> rank of the chosen candidate; absent means none.
         initial_world_T_scan: poses before the pose graph, same gauge as the placements.
         edges: one per selected candidate.
+        alternatives: other answers, most probable first.
     """
 
     placements: tuple[ScanPlacement, ...]
@@ -96,6 +133,7 @@ class GlobalSolution:
     selected: Mapping[tuple[int, int], int]
     initial_world_T_scan: Mapping[int, Array]
     edges: tuple[EdgeReport, ...]
+    alternatives: tuple[Alternative, ...] = ()
 
     @property
     def headline(self) -> str:

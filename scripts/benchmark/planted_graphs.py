@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -68,17 +69,32 @@ def planted_pair(
     target: int,
     probabilities: Array,
     noise: Noise,
+    mirage: Array | None = None,
 ) -> PairResult:
-    """Candidates of given probabilities: at most one is right, drawn by those probabilities."""
-    truth = se3.inverse(world_T_scan[target]) @ world_T_scan[source]
+    """Candidates of given probabilities: at most one is right, drawn by those probabilities.
+
+    Args:
+        rng: random numbers.
+        world_T_scan: (n, 4, 4) the truth.
+        source, target: the scans.
+        probabilities: of the candidates.
+        noise: of all candidates.
+        mirage: (n, 4, 4) false poses, from which the most probable wrong candidate comes.
+    """
     right = rng.choice(
         len(probabilities) + 1, p=[*probabilities, max(1.0 - probabilities.sum(), 0.0)]
     )
-    made = []
-    for rank, probability in enumerate(probabilities):
-        wrong = room_poses(rng, 2)
-        motion = truth if rank == right else se3.inverse(wrong[0]) @ wrong[1]
-        made.append(candidate(rank, shaken(rng, motion, noise), float(probability)))
+    wrong = room_poses(rng, 2 * len(probabilities))
+    motions = se3.inverse(wrong[::2]) @ wrong[1::2]
+    if right < len(probabilities):
+        motions[right] = se3.inverse(world_T_scan[target]) @ world_T_scan[source]
+    wrong_ranks = np.flatnonzero(np.arange(len(probabilities)) != right)
+    if mirage is not None and len(wrong_ranks):
+        motions[wrong_ranks[0]] = se3.inverse(mirage[target]) @ mirage[source]
+    made = [
+        candidate(rank, shaken(rng, motion, noise), float(probability))
+        for rank, (motion, probability) in enumerate(zip(motions, probabilities, strict=True))
+    ]
     return pair_result(source, target, made)
 
 
@@ -89,6 +105,7 @@ def planted_graph(
     link_rate: float = 0.5,
     strength: tuple[float, float] = (0.1, 0.9),
     noise: Noise | None = None,
+    lookalike: float = 0.0,
 ) -> tuple[Array, list[PairResult]]:
     """Poses of a random scene and the results of all pairs.
 
@@ -100,15 +117,21 @@ def planted_graph(
             the others carry a tenth of it.
         strength: range of the summed probability of a pair.
         noise: of right candidates.
+        lookalike: share of the pairs between the first half of the scans and the others in which
+            a wrong candidate agrees with those of other such pairs: it takes the first half for
+            the same part of the room seen from the other side.
     """
     rng = np.random.default_rng(seed)
     poses = room_poses(rng, scans)
+    mirage = poses.copy()
+    mirage[: scans // 2] = np.diag([-1.0, -1.0, 1.0, 1.0]) @ mirage[: scans // 2]
     pairs = []
-    for source in range(scans):
-        for target in range(source + 1, scans):
-            total = rng.uniform(*strength) * (1.0 if rng.uniform() < link_rate else 0.1)
-            shares = np.sort(rng.dirichlet(np.full(top_k, 0.5)))[::-1]
-            pairs.append(planted_pair(rng, poses, source, target, total * shares, noise or Noise()))
+    for source, target in itertools.combinations(range(scans), 2):
+        total = rng.uniform(*strength) * (1.0 if rng.uniform() < link_rate else 0.1)
+        shares = total * np.sort(rng.dirichlet(np.full(top_k, 0.5)))[::-1]
+        fooled = (source < scans // 2 <= target) and rng.uniform() < lookalike
+        false = mirage if fooled else None
+        pairs.append(planted_pair(rng, poses, source, target, shares, noise or Noise(), false))
     return poses, pairs
 
 
