@@ -108,6 +108,8 @@ class GlobalConfig:
     """Refine the poses of a component by the surfaces of all its scans at once."""
     plane_factors: bool = False
     """Let large planes hold scans together in the registration that see different parts of them."""
+    together: bool = True
+    """Decide what the candidates leave open by what all scans of completed rooms say of a place."""
     alternatives: int = 3
     """Other answers that are reported beside the best, at most."""
 

@@ -18,11 +18,12 @@ from fewview.completion.orientation import Glance, glance, quarter_turns
 from fewview.config import Config, FeatureConfig
 from fewview.errors import FewviewError
 from fewview.executor import Executor
-from fewview.matching.prepared import prepare
+from fewview.matching.prepared import PreparedScan, prepare
 from fewview.pairwise import match_pair
 from fewview.priors import Priors
 from fewview.records import digest
 from fewview.store import Store
+from fewview.together import Together
 from fewview.types import (
     Array,
     ColouredMesh,
@@ -114,6 +115,7 @@ class _Run:
         self.observers = observers
         self.priors = priors or Priors()
         self.store = store
+        self.prepared: dict[int, PreparedScan] = {}
         self.timings_s: dict[str, float] = {}
 
     def everything(self) -> Reconstruction:
@@ -124,18 +126,7 @@ class _Run:
         with self._timed("pairs"):
             pairs = self._match(completed, origins)
         with self._timed("global"):
-            solution = global_stage.solve(
-                [s.name for s in self.scans.scans],
-                [c.levelling for c in completed],
-                pairs,
-                self.config.global_stage,
-                self.seed,
-                self.priors.poses,
-            )
-            self.priors.check(pairs, solution)
-            solution = global_stage.refine(
-                solution, pairs, completed, self.config.global_stage, self.priors.poses
-            )
+            solution = self._solve(completed, pairs)
         self._tell("solved", solution)
         with self._timed("fusion"):
             meshes = self._fuse(solution)
@@ -143,7 +134,7 @@ class _Run:
         return Reconstruction(
             self.scans,
             completed,
-            pairs,
+            solution.with_found(pairs),
             solution,
             meshes,
             self.timings_s,
@@ -197,7 +188,7 @@ class _Run:
         origin = {pair: (*(origins[scan] for scan in pair), *settings) for pair in pairs}
         known = {pair: found for pair in pairs if (found := self._get(PairResult, origin[pair]))}
         needed = sorted({scan for pair in pairs if pair not in known for scan in pair})
-        searched = self.executor.map(lambda scan: prepare(completed[scan]), needed)
+        searched = self.executor.map(lambda scan: self._prepared(completed, scan), needed)
         prepared = dict(zip(needed, searched, strict=True))
 
         def one(pair: tuple[int, int]) -> PairResult:
@@ -218,6 +209,33 @@ class _Run:
             self._tell("pair_matched", result)
             results.append(result)
         return tuple(results)
+
+    def _solve(
+        self, completed: Sequence[CompletedScan], pairs: Sequence[PairResult]
+    ) -> GlobalSolution:
+        config, fixed = self.config.global_stage, self.priors.poses
+        foreseen = config.together and all(scan.room.layout is not None for scan in completed)
+
+        def prepared(scan: int) -> PreparedScan:
+            return self._prepared(completed, scan)
+
+        solution = global_stage.solve(
+            [scan.name for scan in completed],
+            [scan.levelling for scan in completed],
+            pairs,
+            config,
+            self.seed,
+            fixed,
+            Together(prepared) if foreseen else None,
+        )
+        pairs = solution.with_found(pairs)
+        self.priors.check(pairs, solution)
+        return global_stage.refine(solution, pairs, completed, config, fixed)
+
+    def _prepared(self, completed: Sequence[CompletedScan], scan: int) -> PreparedScan:
+        if scan not in self.prepared:
+            self.prepared[scan] = prepare(completed[scan])
+        return self.prepared[scan]
 
     def _fuse(self, solution: GlobalSolution) -> tuple[ColouredMesh, ...]:
         meshes = []

@@ -49,12 +49,18 @@ class ProbabilityModel:
         is on average."""
         typical = dict(zip(self.features, self.mean, strict=True))
         rows = np.array([[e.get(name, typical[name]) for name in typical] for e in evidence])
-        rows = rows.reshape(len(evidence), len(self.features))
+        return self.standard(rows.reshape(len(evidence), len(self.features)))
+
+    def standard(self, rows: Array) -> Array:
+        """(K, d) f of (K, d) features as measured, in the order of `features`."""
         return np.clip((rows - self.mean) / self.scale, -CLIP, CLIP)
 
     def logits(self, evidence: Sequence[Mapping[str, float]]) -> Array:
         """(K,) z of candidates described by named features."""
-        f = self.standardised(evidence)
+        return self.logits_of(self.standardised(evidence))
+
+    def logits_of(self, f: Array) -> Array:
+        """(K,) z of (K, d) standardised features."""
         beside = np.tanh(f @ self.inner.T + self.inner_offsets) @ self.outer
         return np.asarray(f @ self.coefficients + self.intercept + beside)
 

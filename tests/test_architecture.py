@@ -23,7 +23,15 @@ ALGORITHMS = {
     "refinement",
     "global_stage",
 }
-ESTIMATORS = ALGORITHMS | {"probability", "choice", "pairwise", "priors", "fusion", "pipeline"}
+ESTIMATORS = ALGORITHMS | {
+    "probability",
+    "choice",
+    "pairwise",
+    "together",
+    "priors",
+    "fusion",
+    "pipeline",
+}
 ALLOWED: Mapping[str, set[str]] = {
     "types": set(),
     "errors": set(),
@@ -34,6 +42,7 @@ ALLOWED: Mapping[str, set[str]] = {
     "choice": GROUND,
     "pairwise": GROUND | ALGORITHMS | {"config", "errors", "weights", "probability", "choice"},
     "priors": GROUND | {"errors"},
+    "together": GROUND | {"alignment", "matching", "refinement", "probability"},
     "fusion": GROUND | {"config", "errors"},
     "weights": {"errors"},
     "training": GROUND

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from fewview.geometry import se3
-from fewview.global_stage.comparison import moved_scans, says_new
+from fewview.global_stage.comparison import Answer, moved_scans, says_new
 from fewview.global_stage.model import Problem
-from fewview.global_stage.placement import State, gain_matrix, objective
+from fewview.global_stage.placement import State, gain_matrix
 from fewview.global_stage.world import find_world
 from fewview.types import (
     Alternative,
@@ -28,7 +28,7 @@ LEAST_ODDS = 0.01
 def alternatives(
     problem: Problem,
     answer: State,
-    found: Sequence[State],
+    found: Sequence[Answer],
     placements: Sequence[ScanPlacement],
     levellings: Sequence[Levelling],
     count: int,
@@ -43,12 +43,11 @@ def alternatives(
         levellings: one per scan.
         count: alternatives at most.
     """
-    best = objective(problem, found[0])
-    margins = [best - objective(problem, state) for state in found]
+    margins = [found[0].score - other.score for other in found]
     others = [
-        Alternative(margin, _places(problem, answer, state, placements, levellings))
-        for margin, state in zip(margins, found, strict=True)
-        if margin <= -math.log(LEAST_ODDS) and says_new(problem, state, [answer])
+        Alternative(margin, _places(problem, answer, other.state, placements, levellings))
+        for margin, other in zip(margins, found, strict=True)
+        if margin <= -math.log(LEAST_ODDS) and says_new(problem, other.state, [answer])
     ]
     return tuple(others[:count])
 

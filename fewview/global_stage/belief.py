@@ -54,19 +54,39 @@ def judge(problem: Problem, state: State) -> Belief:
     blocks = _suspects(gains, state)
     shared = shared_views(problem, state)
     doubt = np.array([_doubt(problem, state, gains, shared, block) for block in blocks])
+    probability, cores = chances(state, blocks, doubt, problem.fixed)
+    for core in cores:
+        turned = blocks[:, core]
+        blocks[turned] = (state.component == state.component[core]) & ~blocks[turned]
+    return Belief(np.minimum(probability, CEILING), blocks, doubt)
+
+
+def chances(
+    state: State, blocks: BoolArray, doubt: Array, fixed: BoolArray
+) -> tuple[Array, list[int]]:
+    """The module's product of doubts.
+
+    Args:
+        state: the labelling.
+        blocks: (k, n) that could be wrong together; doubt: (k,) log(1 + w) of each.
+        fixed: (n,) scans that are the core of their component before all others.
+
+    Returns:
+        (n,) probability that each scan stands right relative to the core of its component, 0 for
+        scans alone; the cores.
+    """
     weighted = blocks.T * doubt
     agree = np.exp(-(weighted @ ~blocks + (weighted @ ~blocks).T))
-    probability = np.zeros(problem.scans)
+    probability, cores = np.zeros(len(fixed)), []
     for label in np.unique(state.component):
         members = np.flatnonzero(state.component == label)
         if len(members) > 1:
             inside = agree[np.ix_(members, members)]
-            core = int(np.argmax(inside.sum(axis=1) + len(members) * problem.fixed[members]))
+            core = int(np.argmax(inside.sum(axis=1) + len(members) * fixed[members]))
             probability[members] = inside[core]
             probability[members[core]] = np.max(np.delete(inside[core], core))
-            turned = blocks[:, members[core]]
-            blocks[turned] = (state.component == label) & ~blocks[turned]
-    return Belief(np.minimum(probability, CEILING), blocks, doubt)
+            cores.append(int(members[core]))
+    return probability, cores
 
 
 def drop_doubtful(problem: Problem, state: State, min_probability: float) -> Belief:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,6 +11,14 @@ from fewview.geometry import se3
 from fewview.global_stage.model import Problem
 from fewview.global_stage.placement import State, likeness
 from fewview.types import Array, BoolArray, IntArray
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A labelling and its log posterior, up to what is the same for all answers to a problem."""
+
+    state: State
+    score: float
 
 
 def joined(state: State) -> BoolArray:

@@ -78,6 +78,12 @@ def _ranked(problem: Problem, states: Sequence[State]) -> list[State]:
 def spanning_tree(problem: Problem, key: Array) -> State:
     """Chain candidates into poses, highest ``key`` first, as Kruskal's algorithm does."""
     state = State.apart(problem.scans)
+    grown(problem, state, key)
+    return state
+
+
+def grown(problem: Problem, state: State, key: Array) -> None:
+    """Join the components of a labelling, in place, by candidates of the highest ``key`` first."""
     for c in np.argsort(-key, kind="stable"):
         s, t = problem.source[c], problem.target[c]
         joined, other = state.component[t], state.component[s]
@@ -85,7 +91,6 @@ def spanning_tree(problem: Problem, key: Array) -> State:
             block = state.component == other
             motion = state.pose[t] @ problem.motion[c] @ se3.inverse(state.pose[s])
             state.move(block, motion, int(joined))
-    return state
 
 
 def _neighbours(problem: Problem, state: State, known: Sequence[State], count: int) -> list[State]:

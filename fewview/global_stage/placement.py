@@ -60,7 +60,6 @@ class Options:
         score: (a,) of each proposal.
         motion: (a, 4, 4) that carries the block there.
         component: (a,) label of the frame it enters.
-        partner: (a,) index of the candidate that proposes.
         same: (a,) whether it proposes the present place, within the kernel's radius.
         copies: (a,) number of proposals for this place, itself included.
         gains: (1 + a, q) what each pair of scans adds, in the present place and in each proposal.
@@ -71,12 +70,52 @@ class Options:
     score: Array
     motion: Array
     component: IntArray
-    partner: IntArray
     same: BoolArray
     copies: IntArray
     gains: Array
     inside: IntArray
     outside: IntArray
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """The c candidates between a block and the other scans.
+
+    Attributes:
+        candidates: (c,) their indices, sorted by pair.
+        implied: (c, 4, 4) motions of the block that satisfy each.
+        moving, fixed: (c,) their scans inside and outside the block.
+    """
+
+    candidates: IntArray
+    implied: Array
+    moving: IntArray
+    fixed: IntArray
+
+    @classmethod
+    def of(cls, problem: Problem, state: State, block: BoolArray) -> Crossing:
+        """Find them and what they ask of the block."""
+        candidates = np.flatnonzero(block[problem.source] != block[problem.target])
+        source, target = problem.source[candidates], problem.target[candidates]
+        forward = block[source]
+        moving, fixed = np.where(forward, source, target), np.where(forward, target, source)
+        fixed_T_moving = np.where(
+            forward[:, None, None],
+            problem.motion[candidates],
+            problem.inverse_motion[candidates],
+        )
+        implied = state.pose[fixed] @ fixed_T_moving @ se3.inverse(state.pose[moving])
+        return cls(candidates, implied, moving, fixed)
+
+    def agreement(self, problem: Problem, state: State, motions: Array, frames: IntArray) -> Array:
+        """(a, c) how well (a, 4, 4) motions into (a,) frames agree with each candidate."""
+        moving, fixed = state.pose[self.moving, :3, 3], state.pose[self.fixed, :3, 3]
+        agree = agreement(problem, motions, self.implied, moving, fixed)
+        return np.asarray(agree * (frames[:, None] == state.component[self.fixed]))
+
+    def first_of_pairs(self, problem: Problem) -> IntArray:
+        """(q,) position of the first candidate of every pair."""
+        return np.flatnonzero(np.diff(problem.pair[self.candidates], prepend=-1))
 
 
 def options(problem: Problem, state: State, block: BoolArray) -> Options:
@@ -89,47 +128,27 @@ def options(problem: Problem, state: State, block: BoolArray) -> Options:
     """
     home = int(state.component[block][0])
     alone = not np.any((state.component == home) & ~block)
-    crossing = np.flatnonzero(block[problem.source] != block[problem.target])
-    order = np.argsort(-problem.evidence[crossing], kind="stable")[:MAX_PROPOSALS]
-    implied, moving, fixed = _implied(problem, state, block, crossing)
-    motions = np.concatenate([np.eye(4)[None], implied[order]])
-    frames = np.concatenate([[home], state.component[fixed[order]]])
-    agree = agreement(
-        problem, motions, implied, state.pose[moving, :3, 3], state.pose[fixed, :3, 3]
-    )
-    agree *= frames[:, None] == state.component[fixed]
-    gains = pair_gains(problem, crossing, agree)
+    crossing = Crossing.of(problem, state, block)
+    evidence = problem.evidence[crossing.candidates]
+    order = np.argsort(-evidence, kind="stable")[:MAX_PROPOSALS]
+    motions = np.concatenate([np.eye(4)[None], crossing.implied[order]])
+    frames = np.concatenate([[home], state.component[crossing.fixed[order]]])
+    agree = crossing.agreement(problem, state, motions, frames)
+    gains = pair_gains(problem, crossing.candidates, agree)
     score = gains.sum(axis=1) - problem.join_cost
-    first = np.flatnonzero(np.diff(problem.pair[crossing], prepend=-1))
+    first = crossing.first_of_pairs(problem)
     among = agree[:, order] > 0.0
     return Options(
         stay=0.0 if alone else float(score[0]),
         score=score[1:],
         motion=motions[1:],
         component=frames[1:],
-        partner=crossing[order],
         same=among[0],
         copies=among[1:].sum(axis=1),
         gains=gains,
-        inside=moving[first],
-        outside=fixed[first],
+        inside=crossing.moving[first],
+        outside=crossing.fixed[first],
     )
-
-
-def _implied(
-    problem: Problem, state: State, block: BoolArray, crossing: IntArray
-) -> tuple[Array, IntArray, IntArray]:
-    """The motions of the block that satisfy each candidate; its scans inside and outside."""
-    source, target = problem.source[crossing], problem.target[crossing]
-    forward = block[source]
-    moving, fixed = np.where(forward, source, target), np.where(forward, target, source)
-    fixed_T_moving = np.where(
-        forward[:, None, None],
-        problem.motion[crossing],
-        problem.inverse_motion[crossing],
-    )
-    implied = state.pose[fixed] @ fixed_T_moving @ se3.inverse(state.pose[moving])
-    return implied, moving, fixed
 
 
 def agreement(

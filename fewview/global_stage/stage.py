@@ -11,13 +11,18 @@ from fewview.config import GlobalConfig
 from fewview.geometry import se3
 from fewview.global_stage import discrete, reasons
 from fewview.global_stage.alternatives import alternatives
+from fewview.global_stage.arrangement import Arranging
 from fewview.global_stage.belief import drop_doubtful
+from fewview.global_stage.comparison import Answer
+from fewview.global_stage.links import bridges, selected
 from fewview.global_stage.model import Problem, build
-from fewview.global_stage.placement import State, agreement_now
+from fewview.global_stage.placement import State, objective
+from fewview.global_stage.places import Potentials
 from fewview.global_stage.pose_graph import Edge, optimise
 from fewview.global_stage.world import find_world
 from fewview.types import (
     Array,
+    CandidateOrigin,
     Component,
     EdgeReport,
     GlobalSolution,
@@ -34,6 +39,7 @@ def solve(
     config: GlobalConfig,
     seed: int,
     fixed: Mapping[int, Array] | None = None,
+    potentials: Potentials | None = None,
 ) -> GlobalSolution:
     """Choose at most one candidate per pair and pose every scan that can be trusted.
 
@@ -45,6 +51,8 @@ def solve(
         seed: of the discrete search.
         fixed: scan index -> (4, 4) world_T_scan that is kept as it is; ``pairs`` hold the told
             candidates between these scans.
+        potentials: what any two scans say of their places; without them the candidates alone
+            decide.
 
     Returns:
         Components of two scans or more, or with a fixed one, largest first, each in its own world
@@ -53,11 +61,10 @@ def solve(
     """
     fixed = fixed or {}
     problem = build(len(names), pairs, config, fixed)
-    found = discrete.search(problem, config.restarts, seed, 1 + config.alternatives)
-    state = found[0].copy()
-    belief = drop_doubtful(problem, state, config.min_probability)
-    groups = _groups(state, fixed)
-    parts = [_place(problem, state, pairs, levellings, group, fixed) for group in groups]
+    decided = _decide(problem, config, seed, potentials)
+    groups = _groups(decided.state, fixed)
+    links = {group: _links(problem, decided, pairs, group, potentials) for group in groups}
+    parts = [_place(decided.state, links[group], levellings, group, fixed) for group in groups]
     placements = [
         ScanPlacement(
             name, None, None, 0.0, reasons.why_unplaced(names, pairs, i, config.min_probability)
@@ -66,7 +73,7 @@ def solve(
     ]
     for index, part in enumerate(parts):
         for scan, pose in part.world_T_scan.items():
-            probability = 1.0 if scan in fixed else float(belief.probability[scan])
+            probability = 1.0 if scan in fixed else float(decided.probability[scan])
             placements[scan] = ScanPlacement(names[scan], index, pose, probability, None)
     return GlobalSolution(
         placements=tuple(placements),
@@ -78,8 +85,60 @@ def solve(
         initial_world_T_scan={i: pose for part in parts for i, pose in part.initial.items()},
         edges=tuple(edge for part in parts for edge in part.edges),
         alternatives=alternatives(
-            problem, state, found, placements, levellings, config.alternatives
+            problem, decided.state, decided.answers, placements, levellings, config.alternatives
         ),
+        found={
+            (link.source, link.target): link.candidate
+            for group in groups
+            for link in links[group]
+            if link.candidate.origin is CandidateOrigin.TOGETHER
+        },
+    )
+
+
+@dataclass(frozen=True)
+class _Decision:
+    """Where the scans stand, how probable that is (n,), and the best answers before doubtful scans
+    were set apart."""
+
+    state: State
+    probability: Array
+    answers: Sequence[Answer]
+    strength: Array | None
+
+
+def _decide(
+    problem: Problem, config: GlobalConfig, seed: int, potentials: Potentials | None
+) -> _Decision:
+    """By the candidates, and what they leave open, by all scans that a place puts together."""
+    count, least = 1 + config.alternatives, config.min_probability
+    found = discrete.search(problem, config.restarts, seed, count)
+    state = found[0].copy()
+    probability = drop_doubtful(problem, state, least).probability
+    answers = [Answer(one, objective(problem, one)) for one in found]
+    if potentials is None:
+        return _Decision(state, probability, answers, None)
+    arranging = Arranging(problem, state, probability, potentials)
+    if arranging.open:
+        answers = arranging.search(seed, count)
+        state = answers[0].state.copy()
+        probability = arranging.drop_doubtful(state, least)
+    return _Decision(state, probability, answers, arranging.matrix(state))
+
+
+def _links(
+    problem: Problem,
+    decided: _Decision,
+    pairs: Sequence[PairResult],
+    group: Sequence[int],
+    potentials: Potentials | None,
+) -> list[Edge]:
+    """The selected candidates of a component, and new ones where they do not hold it together."""
+    links = selected(problem, decided.state, pairs, group)
+    if potentials is None or decided.strength is None:
+        return links
+    return links + bridges(
+        decided.state, pairs, group, links, decided.strength, decided.probability, potentials
     )
 
 
@@ -104,15 +163,13 @@ def _groups(state: State, fixed: Collection[int]) -> list[tuple[int, ...]]:
 
 
 def _place(
-    problem: Problem,
     state: State,
-    pairs: Sequence[PairResult],
+    edges: Sequence[Edge],
     levellings: Sequence[Levelling],
     group: Sequence[int],
     fixed: Mapping[int, Array],
 ) -> _Part:
     """Optimise one component, and level it unless fixed poses say where it is."""
-    edges = _selected(problem, state, pairs, group)
     if known := {scan: fixed[scan] for scan in group if scan in fixed}:
         start = _in_given_world({scan: state.pose[scan] for scan in group}, known)
         given = optimise(start, edges, known)
@@ -136,22 +193,3 @@ def _in_given_world(
     first = min(known)
     world_T_frame = rigid[first] @ se3.inverse(frame_T_scan[first])
     return {scan: world_T_frame @ pose for scan, pose in frame_T_scan.items()} | rigid
-
-
-def _selected(
-    problem: Problem, state: State, pairs: Sequence[PairResult], group: Sequence[int]
-) -> list[Edge]:
-    """The candidate of each pair of the group that says most for the state, if any agrees."""
-    worth = agreement_now(problem, state) * problem.evidence
-    worth *= np.isin(problem.source, group)
-    best: dict[int, int] = {}
-    for c in np.flatnonzero(worth > 0.0):
-        pair = int(problem.pair[c])
-        if pair not in best or worth[c] > worth[best[pair]]:
-            best[pair] = int(c)
-    return [_edge(pairs[pair], int(problem.rank[c])) for pair, c in sorted(best.items())]
-
-
-def _edge(pair: PairResult, rank: int) -> Edge:
-    candidate = next(c for c in pair.candidates if c.rank == rank)
-    return Edge(pair.source, pair.target, candidate)

@@ -114,7 +114,8 @@ class Recorder:
     def solved(self, solution: GlobalSolution) -> None:
         """Move the scans from the gallery to their places and show what decided it."""
         self._at(Step.SOLVED)
-        stream, scans, pairs = self._stream, self._previews, self._pairs
+        stream, scans = self._stream, self._previews
+        pairs = solution.with_found(self._pairs)
         self._spaces = answer.log_components(stream, scans, pairs, solution)
         self._gallery = answer.log_unplaced(stream, scans, solution)
         self._shown = answer.log_pairs(stream, scans, pairs, solution)

@@ -59,6 +59,7 @@ class CandidateOrigin(StrEnum):
     COMPLETION = "completion"
     ALIGNMENT = "alignment"
     MANHATTAN = "manhattan"
+    TOGETHER = "together"
     GIVEN = "given"
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fewview.types.arrays import Array, IntArray
 from fewview.types.completed import CompletedScan
-from fewview.types.pairs import PairResult
+from fewview.types.pairs import PairResult, PoseCandidate
 from fewview.types.scans import Frame, ScanSet
 
 
@@ -126,6 +126,8 @@ class GlobalSolution:
         initial_world_T_scan: poses before the pose graph, same gauge as the placements.
         edges: one per selected candidate.
         alternatives: other answers, most probable first.
+        found: (source, target) -> candidate of a pair that the stage itself proposed and selected,
+            ranked after the pair's own.
     """
 
     placements: tuple[ScanPlacement, ...]
@@ -134,6 +136,16 @@ class GlobalSolution:
     initial_world_T_scan: Mapping[int, Array]
     edges: tuple[EdgeReport, ...]
     alternatives: tuple[Alternative, ...] = ()
+    found: Mapping[tuple[int, int], PoseCandidate] = field(default_factory=dict)
+
+    def with_found(self, pairs: Sequence[PairResult]) -> tuple[PairResult, ...]:
+        """The pairs that were solved, each with the candidate found for it, if any."""
+        return tuple(
+            replace(pair, candidates=(*pair.candidates, self.found[pair.source, pair.target]))
+            if (pair.source, pair.target) in self.found
+            else pair
+            for pair in pairs
+        )
 
     @property
     def headline(self) -> str:

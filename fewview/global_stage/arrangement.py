@@ -1,0 +1,190 @@
+"""What the candidates leave open, decided by all scans that a place puts together.
+
+The search over candidates (`discrete`) settles most scans of most sets. Scans that stand with less
+certainty than `SURE` are taken up again, each for itself; the sure ones of a component stay one
+rigid node. From several seeded trees, nodes and components move to the best of their `places` until
+nothing improves S' of that module. Then every node, and every block on one side of a weak link,
+stands right with its share of the odds of all its places, "elsewhere" among them; a scan is right
+relative to another when every block that separates the two is, as in `belief`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csgraph, csr_array
+from scipy.special import logsumexp
+
+from fewview.geometry import se3
+from fewview.global_stage.belief import CEILING, chances
+from fewview.global_stage.blocks import tree_blocks
+from fewview.global_stage.comparison import Answer, says_new
+from fewview.global_stage.discrete import grown
+from fewview.global_stage.model import TOLD_EVIDENCE, Problem
+from fewview.global_stage.placement import State, agreement_now, gain_matrix
+from fewview.global_stage.places import Places, Potentials, places
+from fewview.types import Array, BoolArray
+
+SURE = 0.98
+"""Scans that the candidates alone place with this probability are not asked about again."""
+
+STARTS = 4
+"""Trees from which the search starts."""
+
+SWEEPS = 4
+"""Times that all nodes and components may move, at most."""
+
+RIGID = 1e6
+"""Strength of the links inside a node: no weak link ever runs through it."""
+
+TOLERANCE = 1e-6
+"""Smallest improvement of the log odds that counts."""
+
+
+class Arranging:
+    """One problem with the nodes that the candidates alone have settled.
+
+    Args:
+        problem: the candidates.
+        settled: the labelling that they agree on.
+        probability: (n,) of each scan there.
+        potentials: of pairs of scans.
+    """
+
+    def __init__(
+        self, problem: Problem, settled: State, probability: Array, potentials: Potentials
+    ) -> None:
+        self.problem = problem
+        self.potentials = potentials
+        self.settled = settled
+        self.probability = probability
+        self.rigid = _rigid(problem, settled, probability)
+        self.nodes: BoolArray = np.unique(self.rigid, axis=0)
+
+    @property
+    def open(self) -> bool:
+        """Whether anything is left to decide."""
+        return len(self.nodes) > 1
+
+    def search(self, seed: int, count: int) -> list[Answer]:
+        """The best ``count`` answers at most, best first, each saying something new."""
+        rng = np.random.default_rng(seed)
+        found = [self._from_tree(rng, noise=start > 0) for start in range(STARTS)]
+        found.sort(key=lambda one: -one.score)
+        found += self._neighbours(found[0])
+        kept: list[Answer] = []
+        for one in sorted(found, key=lambda one: -one.score):
+            if (
+                len(kept) < count
+                and says_new(self.problem, one.state, [other.state for other in kept])
+                or not kept
+            ):
+                kept.append(one)
+        return kept
+
+    def judge(self, state: State) -> Array:
+        """(n,) probability that each scan stands right in its component; 0 for scans alone."""
+        blocks = self._blocks(state)
+        doubt = np.array([_doubt(state, block, self._places(state, block)) for block in blocks])
+        chance, _ = chances(state, blocks, doubt.reshape(-1), self.problem.fixed)
+        own = np.where(self.rigid.sum(axis=1) > 1, self.probability, 1.0)
+        return np.minimum(chance * own, CEILING)
+
+    def drop_doubtful(self, state: State, min_probability: float) -> Array:
+        """Set the least probable nodes apart, in place, until all others are probable enough.
+
+        Returns:
+            (n,) probabilities.
+        """
+        probability = self.judge(state)
+        while np.any(low := (probability > 0.0) & (probability < min_probability)):
+            worst = np.flatnonzero(low)[np.argmin(probability[low])]
+            state.detach(self.rigid[worst])
+            probability = self.judge(state)
+        return probability
+
+    def _from_tree(self, rng: np.random.Generator, noise: bool) -> Answer:
+        state = State(self.settled.pose.copy(), np.argmax(self.rigid, axis=1))
+        key = np.log(self.problem.evidence)
+        grown(self.problem, state, key + rng.gumbel(size=len(key)) if noise else key)
+        for _ in range(SWEEPS):
+            moved = [self._improve(state, node) for node in rng.permutation(self.nodes)]
+            whole = state.component == np.unique(state.component)[:, None]
+            moved += [self._improve(state, block) for block in whole]
+            if not any(moved):
+                break
+        return Answer(state, self._score(state))
+
+    def _improve(self, state: State, block: BoolArray) -> bool:
+        """Move a block to its best place, or apart, if that improves."""
+        if block.all() or len(np.unique(state.component[block])) > 1:
+            return False
+        found = self._places(state, block)
+        best = int(np.argmax(found.score)) if len(found.score) else -1
+        gain = found.score[best] if best >= 0 else -np.inf
+        if max(gain, 0.0) <= found.stay + TOLERANCE:
+            return False
+        if gain > 0.0:
+            state.move(block, found.motion[best], int(found.component[best]))
+        else:
+            state.detach(block)
+        return True
+
+    def _neighbours(self, best: Answer) -> list[Answer]:
+        """The best other place of every node of the best arrangement."""
+        found = []
+        for node in self.nodes:
+            choice = self._places(best.state, node)
+            if len(choice.score):
+                k = int(np.argmax(choice.score))
+                state = best.state.copy()
+                state.move(node, choice.motion[k], int(choice.component[k]))
+                found.append(Answer(state, best.score + choice.score[k] - choice.stay))
+        return found
+
+    def _places(self, state: State, block: BoolArray) -> Places:
+        return places(self.problem, state, block, self.potentials)
+
+    def _score(self, state: State) -> float:
+        joins = len(self.nodes) - len(np.unique(state.component))
+        return float(0.5 * self.matrix(state).sum() + joins * self.potentials.join)
+
+    def matrix(self, state: State) -> Array:
+        """(n, n) symmetric potentials of the pairs that stand together, 0 within nodes."""
+        votes = gain_matrix(self.problem, state)
+        asked = (state.component[:, None] == state.component) & ~self.rigid
+        out = np.zeros_like(votes)
+        for i, j in np.argwhere(np.triu(asked)).tolist():
+            motion = se3.inverse(state.pose[j]) @ state.pose[i]
+            found = self.potentials.potential(i, j, motion[None], votes[i, j : j + 1])
+            out[i, j] = out[j, i] = found[0]
+        return out
+
+    def _blocks(self, state: State) -> BoolArray:
+        """Sides of weak links, and single nodes; each split of a component comes once, as the side
+        without its first scan."""
+        together = state.component[:, None] == state.component
+        strength = np.where(self.rigid, RIGID, np.logaddexp(0.0, self.matrix(state))) * together
+        np.fill_diagonal(strength, 0.0)
+        sides = np.concatenate([tree_blocks(strength), self.nodes])
+        sides = sides[[not np.any(self.rigid[side] & ~side) for side in sides]]
+        component = together[np.argmax(sides, axis=1)]
+        first = component & (np.cumsum(component, axis=1) == 1)
+        sides = np.where((sides & first).any(axis=1)[:, None], component & ~sides, sides)
+        return np.unique(sides[sides.any(axis=1)], axis=0)
+
+
+def _rigid(problem: Problem, settled: State, probability: Array) -> BoolArray:
+    """(n, n) scans that stay as they stand to each other: sure ones, fixed ones, told pairs."""
+    together = settled.component[:, None] == settled.component
+    sure = (probability >= SURE) | problem.fixed
+    linked = sure[:, None] & sure & together
+    told = (problem.evidence >= TOLD_EVIDENCE) & (agreement_now(problem, settled) > 0.0)
+    linked[problem.source[told], problem.target[told]] = True
+    _, node = csgraph.connected_components(csr_array(linked), directed=False)
+    return np.asarray(node[:, None] == node)
+
+
+def _doubt(state: State, block: BoolArray, found: Places) -> float:
+    """log(1 + w), w the odds of all other places in the component and of none against this one."""
+    rivals = found.score[found.component == state.component[block][0]]
+    return float(np.logaddexp(0.0, logsumexp(np.append(rivals, 0.0)) - found.stay))

@@ -1,0 +1,164 @@
+"""What all scans of a place say of it: the second half of the discrete problem.
+
+Candidates come from pairs, and `model` lets them vote. Any two scans that an arrangement puts into
+one frame can be asked as well, whether a candidate of theirs agrees or not: each may stand in what
+the other saw to be free, show what the other shows, or what the other's completed room foresees.
+The log posterior of an arrangement relative to "nothing is joined" then is
+
+    S' = sum over pairs within a component of phi_ij(T_ij) + joins * b,
+
+with the learned potential phi of the relative pose, in which the votes log(1 + sum r a) of the
+pair's candidates are one quantity among others, and the log odds b of a join. Beside the places
+that candidates propose there are those where the aligner lays a block, drawn as one, over all other
+scans of a component, drawn as one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from fewview.geometry import se3
+from fewview.global_stage.model import Problem
+from fewview.global_stage.placement import Crossing, State, pair_gains
+from fewview.types import Array, BoolArray, IntArray, PoseCandidate
+
+SAME_RAD = np.radians(15.0)
+SAME_M = 0.3
+"""Places of a block closer than both are one place."""
+
+MOST = 10
+"""Different places in one component that candidates may propose, the strongest ones."""
+
+
+class Potentials(Protocol):
+    """What `fewview.together.Together` answers."""
+
+    @property
+    def join(self) -> float:
+        """b of the module's formula."""
+
+    def potential(self, source: int, target: int, poses: Array, gain: Array) -> Array:
+        """(K,) phi of (K, 4, 4) poses target_T_source with (K,) votes of the candidates."""
+
+    def proposals(self, moving: Mapping[int, Array], fixed: Mapping[int, Array]) -> Array:
+        """(P, 4, 4) motions of the scans ``moving`` over the scans ``fixed``, likeliest first."""
+
+    def candidate(
+        self, source: int, target: int, pose: Array, rank: int, probability: float
+    ) -> PoseCandidate:
+        """A candidate (4, 4) target_T_source for a pair that none of its own joins."""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where a block could stand; log odds are relative to a frame of its own.
+
+    Attributes:
+        stay: log odds of its present place; 0 when it is alone there.
+        score: (a,) log odds of the other places, no two of them the same.
+        motion: (a, 4, 4) that carries the block there.
+        component: (a,) label of the frame it enters.
+    """
+
+    stay: float
+    score: Array
+    motion: Array
+    component: IntArray
+
+
+@dataclass(frozen=True)
+class Created:
+    """A pair of scans that places of a block put into one frame.
+
+    Attributes:
+        source, target: indices of the scans, the source's the smaller.
+        here: (K,) which of the places do.
+        poses: (K, 4, 4) target_T_source there.
+        votes: (K,) what the candidates of the pair add there.
+    """
+
+    source: int
+    target: int
+    here: IntArray
+    poses: Array
+    votes: Array
+
+
+def places(problem: Problem, state: State, block: BoolArray, potentials: Potentials) -> Places:
+    """Every place that candidates or the aligner propose for a block, judged by all scans there.
+
+    Args:
+        problem: the candidates.
+        state: the present labelling; all scans of ``block`` are in one component.
+        block: (n,) the scans that move together, not all scans.
+        potentials: of pairs of scans.
+    """
+    home = int(state.component[block][0])
+    motions, frames = proposed(problem, state, block, potentials)
+    score: Array = np.full(len(motions), potentials.join)
+    for pair in created(problem, state, block, motions, frames):
+        score[pair.here] += potentials.potential(pair.source, pair.target, pair.poses, pair.votes)
+    alone = not np.any((state.component == home) & ~block)
+    return Places(0.0 if alone else float(score[0]), score[1:], motions[1:], frames[1:])
+
+
+def proposed(
+    problem: Problem, state: State, block: BoolArray, potentials: Potentials
+) -> tuple[Array, IntArray]:
+    """(a, 4, 4) motions of a block and the (a,) frames that they lead to, the present place first,
+    then of each component what the strongest candidates and the aligner propose; all different."""
+    crossing = Crossing.of(problem, state, block)
+    moving = {int(i): state.pose[i] for i in np.flatnonzero(block)}
+    frame = state.component[crossing.fixed]
+    order = np.argsort(-problem.evidence[crossing.candidates], kind="stable")
+    found, labels = [np.eye(4)[None]], [int(state.component[block][0])]
+    for label in np.unique(state.component[~block]):
+        own = order[frame[order] == label]
+        agree = crossing.agreement(problem, state, crossing.implied[own], frame[own])
+        votes = pair_gains(problem, crossing.candidates, agree).sum(axis=1)
+        ranked = crossing.implied[own][np.argsort(-votes, kind="stable")]
+        strongest = ranked[_different(state, block, ranked, np.full(len(ranked), label))[:MOST]]
+        members = np.flatnonzero((state.component == label) & ~block)
+        above = potentials.proposals(moving, {int(j): state.pose[j] for j in members})
+        found += [strongest, above]
+        labels += [int(label)] * (len(strongest) + len(above))
+    motions, frames = np.concatenate(found), np.array(labels, dtype=np.int64)
+    kept = _different(state, block, motions, frames)
+    return motions[kept], frames[kept]
+
+
+def created(
+    problem: Problem, state: State, block: BoolArray, motions: Array, frames: IntArray
+) -> Iterator[Created]:
+    """The pairs of scans that (a, 4, 4) motions of a block into (a,) frames put together."""
+    crossing = Crossing.of(problem, state, block)
+    agree = crossing.agreement(problem, state, motions, frames)
+    votes = pair_gains(problem, crossing.candidates, agree)
+    first = crossing.first_of_pairs(problem)
+    pairs = zip(crossing.moving[first].tolist(), crossing.fixed[first].tolist(), strict=True)
+    column = {pair: q for q, pair in enumerate(pairs)}
+    for j in np.flatnonzero(~block).tolist():
+        here = np.flatnonzero(frames == state.component[j])
+        for i in np.flatnonzero(block).tolist() if len(here) else ():
+            pose = se3.inverse(state.pose[j]) @ motions[here] @ state.pose[i]
+            vote = votes[here, column[i, j]] if (i, j) in column else np.zeros(len(here))
+            if i < j:
+                yield Created(i, j, here, pose, vote)
+            else:
+                yield Created(j, i, here, se3.inverse(pose), vote)
+
+
+def _different(state: State, block: BoolArray, motions: Array, frames: IntArray) -> IntArray:
+    """Indices of motions that do not lead to the place of one before them."""
+    carried = motions @ state.pose[np.argmax(block)]
+    turn, shift = se3.distance(carried[:, None], carried[None])
+    same = (turn < SAME_RAD) & (shift < SAME_M) & (frames[:, None] == frames)
+    kept: list[int] = []
+    for k in range(len(motions)):
+        if not same[k, kept].any():
+            kept.append(k)
+    return np.array(kept, dtype=np.int64)
