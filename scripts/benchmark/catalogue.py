@@ -74,6 +74,7 @@ class MultiMethod:
         backend: module with a function ``solve``.
         arguments: of that function.
         consecutive: only neighbours in the scan order are matched.
+        views: the back-end looks at the prepared scans, as an argument ``views``.
     """
 
     label: str
@@ -81,6 +82,7 @@ class MultiMethod:
     backend: str
     arguments: Mapping[str, Any] = field(default_factory=dict)
     consecutive: bool = False
+    views: bool = False
 
     @property
     def key(self) -> str:
@@ -148,9 +150,11 @@ def _pose_graph(label: str, pairs: str, optimiser: str, min_score: int = 0) -> M
     return MultiMethod(label, pairs, _GRAPH, {"optimiser": optimiser, "min_score": min_score})
 
 
-def _ours_top(k: int, pairs: str = "ours") -> MultiMethod:
-    label = f"{PAIR_METHODS[pairs].label}, top-{k}"
-    return MultiMethod(label, pairs, "benchmark.backends.ours", {"top_k": k})
+def _ours_top(k: int, pairs: str = "ours", together: bool = True) -> MultiMethod:
+    alone = "" if together else ", candidates alone"
+    label = f"{PAIR_METHODS[pairs].label}, top-{k}{alone}"
+    arguments = {"top_k": k, "together": together}
+    return MultiMethod(label, pairs, "benchmark.backends.ours", arguments, views=True)
 
 
 MULTI_METHODS: Mapping[str, MultiMethod] = {
@@ -167,5 +171,6 @@ MULTI_METHODS: Mapping[str, MultiMethod] = {
     "ours_top1": _ours_top(1),
     "ours_top3": _ours_top(3),
     "ours_top5": _ours_top(5),
+    "ours_alone": _ours_top(5, together=False),
 }
 """Multi-scan methods; RANSAC with the pose graph is the paper's RobustRecons."""

@@ -27,6 +27,7 @@ def parser(description: str | None, out: str) -> argparse.ArgumentParser:
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     made.add_argument("--dataset", default="rooms", metavar="DATA", help=SPECS)
+    made.add_argument("--rooms", type=int, help="how many generated rooms")
     made.add_argument("--quick", action="store_true", help="minutes on two cores")
     made.add_argument("--seed", type=int, default=0, help="of the pairs or sets drawn")
     made.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes")
@@ -50,7 +51,9 @@ def pair_parser(description: str | None, out: str) -> argparse.ArgumentParser:
 
 def opened(options: argparse.Namespace) -> Dataset:
     """The data set that was asked for."""
-    return open_dataset(options.dataset, quick=options.quick, cache=options.cache)
+    return open_dataset(
+        options.dataset, quick=options.quick, cache=options.cache, count=options.rooms
+    )
 
 
 def out_path(options: argparse.Namespace, dataset: Dataset) -> Path:

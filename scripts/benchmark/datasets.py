@@ -41,7 +41,7 @@ class Dataset:
     spec: str
 
 
-def open_dataset(spec: str, *, quick: bool, cache: Path) -> Dataset:
+def open_dataset(spec: str, *, quick: bool, cache: Path, count: int | None = None) -> Dataset:
     """Find, and for generated rooms make, the scenes of a data set.
 
     A scene given alone keeps all its frames, or 150 where the readers take no more. Of each scene
@@ -52,12 +52,13 @@ def open_dataset(spec: str, *, quick: bool, cache: Path) -> Dataset:
         spec: see `SPECS`.
         quick: fewer scenes.
         cache: where generated rooms are kept.
+        count: generated rooms, `ROOMS` or when quick `QUICK_SCENES` when not given.
 
     Raises:
         SystemExit: there is nothing that can be used; the message says why.
     """
     if spec in SPLITS:
-        count = QUICK_SCENES if quick else ROOMS
+        count = count or (QUICK_SCENES if quick else ROOMS)
         made = rooms(SPLITS[spec], count, VIEWS, cache, SEED)
         return Dataset(f"rooms-{SPLITS[spec]}", tuple(made), spec)
     folder = Path(spec)

@@ -54,7 +54,7 @@ def sets_of(
     dataset: Dataset, kinds: Sequence[str], quick: bool, seed: int, cache: Path
 ) -> list[tuple[Scene, FrameSet]]:
     """All sets of a data set with their scenes; those of `QUICK_SCENES` when it has to be quick."""
-    limit = QUICK_COUNT if quick else SPARSE_COUNT
+    limit = QUICK_COUNT if quick or len(dataset.scenes) > 1 else SPARSE_COUNT
     counts = random_counts(dataset, quick)
     return [
         (scene, one)

@@ -89,6 +89,32 @@ class TurnsTask:
 
 
 @dataclass(frozen=True)
+class ViewTask:
+    """A scan as a method prepares it, for multi-scan methods that look at scans again.
+
+    Its time is part of that of the pairs.
+    """
+
+    store: Store
+    method: Method
+    scene: Scene
+    name: str
+    turn: int
+
+    @property
+    def path(self) -> Path:
+        return self.store.path(self.scene.key, self.method.key, f"view-{self.name}~{self.turn}")
+
+    @property
+    def group(self) -> tuple[Hashable, ...]:
+        return self.method.key, self.scene.name
+
+    def run(self) -> Record[Any]:
+        view, seconds = _view(self.method, self.scene, self.name, self.turn)
+        return Record(view, {"view": seconds})
+
+
+@dataclass(frozen=True)
 class SetTask:
     """One multi-scan method on a set of scans whose pairs are answered."""
 
@@ -120,8 +146,7 @@ class SetTask:
 
     def pairs(self) -> dict[tuple[int, int], PairTask]:
         """What is to be known before the set; needs `turns`."""
-        turns: Record[tuple[int, ...]] = self.store.read(self.turns.path)
-        turned = turns.answer or (0,) * len(self.names)
+        turned = self._turned()
         return {
             (i, j): PairTask(
                 self.store,
@@ -134,15 +159,29 @@ class SetTask:
             for i, j in self.indices
         }
 
+    def _turned(self) -> tuple[int, ...]:
+        turns: Record[tuple[int, ...]] = self.store.read(self.turns.path)
+        return turns.answer or (0,) * len(self.names)
+
+    def views(self) -> list[ViewTask]:
+        """The prepared scans, where the method looks at them again; needs `turns`."""
+        if not self.method.views:
+            return []
+        method = PAIR_METHODS[self.method.pairs]
+        turned = zip(self.names, self._turned(), strict=True)
+        return [ViewTask(self.store, method, self.scene, name, turn) for name, turn in turned]
+
     def run(self) -> Record[list[Placement | None]]:
         answers = {pair: task.answer() for pair, task in self.pairs().items()}
+        views = [self.store.read(task.path).answer for task in self.views()]
         solve = import_module(self.method.backend).solve
 
         def frame(index: int) -> Any:
             return self.scene.load(self.names[index])
 
+        seen = {"views": views} if self.method.views else {}
         placements, seconds = _timed(
-            lambda: solve(self.names, frame, answers, **self.method.arguments)
+            lambda: solve(self.names, frame, answers, **seen, **self.method.arguments)
         )
         return Record(placements, {"solve": seconds})
 
@@ -170,6 +209,7 @@ def run_sets(tasks: Sequence[SetTask], jobs: int) -> None:
     open_sets = [task for task in tasks if not task.path.is_file()]
     run([task.turns for task in open_sets], jobs, "orientation")
     run([pair for task in open_sets for pair in task.pairs().values()], jobs, "pairs")
+    run([view for task in open_sets for view in task.views()], jobs, "scans")
     run(open_sets, jobs, "sets")
 
 

@@ -16,7 +16,7 @@ from fewview.executor import single_threaded_libraries
 from fewview.matching.prepared import PreparedScan, prepare
 from fewview.pairwise import match_pair
 from fewview.refinement.local import refine_alone
-from fewview.types import Frame, Levelling, PairResult, PairStatus
+from fewview.types import Frame, PairResult, PairStatus
 
 SEED = 0
 
@@ -26,8 +26,6 @@ class Detail:
     """What fewview's global stage needs of a pair."""
 
     result: PairResult
-    source: Levelling
-    target: Levelling
 
 
 class Ours(PairMethod):
@@ -63,7 +61,7 @@ class Ours(PairMethod):
         candidates = tuple(
             Candidate(c.target_T_source, c.score, c.probability) for c in result.candidates
         )
-        return Answer(candidates, Detail(result, source.scan.levelling, target.scan.levelling))
+        return Answer(candidates, Detail(result))
 
 
 class OursLocal(Ours):
