@@ -90,17 +90,17 @@ class Arranging:
         return np.minimum(chance * own, CEILING)
 
     def drop_doubtful(self, state: State, min_probability: float) -> Array:
-        """Set the least probable nodes apart, in place, until all others are probable enough.
+        """Set scans apart, in place, that are not probable enough.
+
+        The others keep what these say for them: to be doubted is not to be wrong.
 
         Returns:
-            (n,) probabilities.
+            (n,) probabilities of those that are left.
         """
         probability = self.judge(state)
-        while np.any(low := (probability > 0.0) & (probability < min_probability)):
-            worst = np.flatnonzero(low)[np.argmin(probability[low])]
-            state.detach(self.rigid[worst])
-            probability = self.judge(state)
-        return probability
+        for scan in np.flatnonzero(probability < min_probability):
+            state.detach(np.arange(len(probability)) == scan)
+        return np.where(probability < min_probability, 0.0, probability)
 
     def _from_tree(self, rng: np.random.Generator, noise: bool) -> Answer:
         state = State(self.settled.pose.copy(), np.argmax(self.rigid, axis=1))
