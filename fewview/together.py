@@ -30,7 +30,7 @@ from fewview.refinement.evidence import (
     yaw_disagreement,
 )
 from fewview.refinement.room_evidence import room_evidence
-from fewview.types import Array, CandidateOrigin, Evidence, PoseCandidate
+from fewview.types import Array, CandidateOrigin, Evidence, PoseCandidate, Representation
 
 VOTES = "votes"
 """The quantity that is no property of the pose: what the pair's candidates say of it."""
@@ -140,7 +140,7 @@ class Together:
             residual_m=float(found["residual"][0]),
             overlap=float(found["overlap"][0]),
             free_space_violation=float(found["violation"][0] ** 2),
-            support={},
+            support=dict.fromkeys(Representation, 0),
         )
         score = float(self.potential(source, target, pose[None], np.zeros(1))[0])
         origin = CandidateOrigin.TOGETHER
