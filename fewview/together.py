@@ -30,7 +30,7 @@ from fewview.refinement.evidence import (
     yaw_disagreement,
 )
 from fewview.refinement.room_evidence import room_evidence
-from fewview.types import Array, CandidateOrigin, Evidence, PoseCandidate
+from fewview.types import Array, CandidateOrigin, Evidence, PoseCandidate, Representation
 
 VOTES = "votes"
 """The quantity that is no property of the pose: what the pair's candidates say of it."""
@@ -42,7 +42,7 @@ LOOSE = np.diag([np.radians(5.0) ** 2] * 3 + [0.15**2] * 3)
 """Covariance of a place that no pair has refined."""
 
 DIGITS = 5
-"""Poses equal to this many digits are asked about once."""
+"""Poses are asked about with this many digits, and those equal to them once."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class Together:
             residual_m=float(found["residual"][0]),
             overlap=float(found["overlap"][0]),
             free_space_violation=float(found["violation"][0] ** 2),
-            support={},
+            support=dict.fromkeys(Representation, 0),
         )
         score = float(self.potential(source, target, pose[None], np.zeros(1))[0])
         origin = CandidateOrigin.TOGETHER
@@ -149,12 +149,13 @@ class Together:
     def _quantities(self, source: int, target: int, poses: Array) -> Array:
         """(K, d) quantities in the model's order, the votes left at 0."""
         known = self._known.setdefault((source, target), {})
-        keys = [pose.tobytes() for pose in poses.round(DIGITS) + 0.0]
+        rounded = poses.round(DIGITS) + 0.0
+        keys = [pose.tobytes() for pose in rounded]
         new = [k for k, key in enumerate(keys) if key not in known]
         if new:
             alignment = self._alignment(source, target)
             found = pair_quantities(
-                self._scan(source), self._scan(target), poses[new], alignment
+                self._scan(source), self._scan(target), rounded[new], alignment
             ) | {VOTES: np.zeros(len(new))}
             rows = np.stack([found[name] for name in self._model.pair.features], axis=1)
             known.update({keys[k]: row for k, row in zip(new, rows, strict=True)})

@@ -43,6 +43,11 @@ TOLERANCE = 1e-6
 class Arranging:
     """One problem with the nodes that the candidates alone have settled.
 
+    Attributes:
+        rigid: (n, n) scans that stay as they stand to each other.
+        nodes: (k, n) the groups of such scans.
+        within: (n,) probability that each scan stands right in its node; told ones do.
+
     Args:
         problem: the candidates.
         settled: the labelling that they agree on.
@@ -56,9 +61,10 @@ class Arranging:
         self.problem = problem
         self.potentials = potentials
         self.settled = settled
-        self.probability = probability
         self.rigid = _rigid(problem, settled, probability)
         self.nodes: BoolArray = np.unique(self.rigid, axis=0)
+        sure = (probability >= SURE) & (self.rigid.sum(axis=1) > 1)
+        self.within: Array = np.where(sure, probability, 1.0)
 
     @property
     def open(self) -> bool:
@@ -73,11 +79,8 @@ class Arranging:
         found += self._neighbours(found[0])
         kept: list[Answer] = []
         for one in sorted(found, key=lambda one: -one.score):
-            if (
-                len(kept) < count
-                and says_new(self.problem, one.state, [other.state for other in kept])
-                or not kept
-            ):
+            known = [other.state for other in kept]
+            if len(kept) < count and says_new(self.problem, one.state, known):
                 kept.append(one)
         return kept
 
@@ -86,21 +89,24 @@ class Arranging:
         blocks = self._blocks(state)
         doubt = np.array([_doubt(state, block, self._places(state, block)) for block in blocks])
         chance, _ = chances(state, blocks, doubt.reshape(-1), self.problem.fixed)
-        own = np.where(self.rigid.sum(axis=1) > 1, self.probability, 1.0)
-        return np.minimum(chance * own, CEILING)
+        return np.minimum(chance * self.within, CEILING)
 
     def drop_doubtful(self, state: State, min_probability: float) -> Array:
-        """Set scans apart, in place, that are not probable enough.
+        """Set nodes apart, in place, that are not probable enough.
 
-        The others keep what these say for them: to be doubted is not to be wrong.
+        The others keep what these say for them: to be doubted is not to be wrong. A node of several
+        scans is a component of its own then.
 
         Returns:
-            (n,) probabilities of those that are left.
+            (n,) probabilities afterwards; 0 for scans alone.
         """
         probability = self.judge(state)
-        for scan in np.flatnonzero(probability < min_probability):
-            state.detach(np.arange(len(probability)) == scan)
-        return np.where(probability < min_probability, 0.0, probability)
+        for node in self.nodes:
+            if probability[node].min() < min_probability:
+                state.detach(node)
+                alone = node.sum() == 1
+                probability[node] = 0.0 if alone else np.minimum(self.within[node], CEILING)
+        return probability
 
     def _from_tree(self, rng: np.random.Generator, noise: bool) -> Answer:
         state = State(self.settled.pose.copy(), np.argmax(self.rigid, axis=1))
@@ -138,7 +144,8 @@ class Arranging:
                 k = int(np.argmax(choice.score))
                 state = best.state.copy()
                 state.move(node, choice.motion[k], int(choice.component[k]))
-                found.append(Answer(state, best.score + choice.score[k] - choice.stay))
+                gained = float(choice.score[k]) - choice.stay
+                found.append(Answer(state, best.score + gained))
         return found
 
     def _places(self, state: State, block: BoolArray) -> Places:

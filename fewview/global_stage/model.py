@@ -25,8 +25,8 @@ candidates in place of separate rotation and translation terms.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -60,6 +60,8 @@ class Problem:
         join_cost: J of the module's formula.
         max_chord2: squared chord 2 (1 - cos) of the rotation tolerance.
         max_distance2: squared translation tolerance, square metres.
+        vetoed: (source, target), the smaller first -> (k, 4, 4) target_T_source that the user
+            says are wrong.
     """
 
     scans: int
@@ -76,6 +78,7 @@ class Problem:
     join_cost: float
     max_chord2: float
     max_distance2: float
+    vetoed: Mapping[tuple[int, int], Array] = field(default_factory=dict)
 
     @cached_property
     def inverse_motion(self) -> Array:
@@ -122,4 +125,16 @@ def build(
         join_cost=accept - math.log(config.chance_agreement),
         max_chord2=float(2.0 - 2.0 * np.cos(np.radians(config.max_angle_deg))),
         max_distance2=config.max_distance_m**2,
+        vetoed=_vetoed(pairs),
     )
+
+
+def _vetoed(pairs: Sequence[PairResult]) -> dict[tuple[int, int], Array]:
+    """`Problem.vetoed`."""
+    out: dict[tuple[int, int], Array] = {}
+    for pair in pairs:
+        if wrong := [c.target_T_source for c in pair.candidates if c.vetoed]:
+            forward = pair.source < pair.target
+            ends = (pair.source, pair.target) if forward else (pair.target, pair.source)
+            out[ends] = np.stack(wrong) if forward else se3.inverse(np.stack(wrong))
+    return out

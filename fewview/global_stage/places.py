@@ -10,7 +10,8 @@ The log posterior of an arrangement relative to "nothing is joined" then is
 with the learned potential phi of the relative pose, in which the votes log(1 + sum r a) of the
 pair's candidates are one quantity among others, and the log odds b of a join. Beside the places
 that candidates propose there are those where the aligner lays a block, drawn as one, over all other
-scans of a component, drawn as one.
+scans of a component, drawn as one. No place brings a pair back to where the user says that it does
+not stand.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ class Places:
     """Where a block could stand; log odds are relative to a frame of its own.
 
     Attributes:
-        stay: log odds of its present place; 0 when it is alone there.
+        stay: log odds of its present place; 0 when it is alone there, -inf when a veto forbids it.
         score: (a,) log odds of the other places, no two of them the same.
         motion: (a, 4, 4) that carries the block there.
         component: (a,) label of the frame it enters.
@@ -102,8 +103,11 @@ def places(problem: Problem, state: State, block: BoolArray, potentials: Potenti
     score: Array = np.full(len(motions), potentials.join)
     for pair in created(problem, state, block, motions, frames):
         score[pair.here] += potentials.potential(pair.source, pair.target, pair.poses, pair.votes)
+        score[pair.here[_vetoed(problem, pair)]] = -np.inf
     alone = not np.any((state.component == home) & ~block)
-    return Places(0.0 if alone else float(score[0]), score[1:], motions[1:], frames[1:])
+    others = 1 + np.flatnonzero(score[1:] > -np.inf)
+    stay = 0.0 if alone else float(score[0])
+    return Places(stay, score[others], motions[others], frames[others])
 
 
 def proposed(
@@ -152,13 +156,24 @@ def created(
                 yield Created(j, i, here, se3.inverse(pose), vote)
 
 
+def _vetoed(problem: Problem, pair: Created) -> BoolArray:
+    """(K,) which of the poses the user has ruled out."""
+    wrong = problem.vetoed.get((pair.source, pair.target), np.empty((0, 4, 4)))
+    return np.asarray(_same(pair.poses[:, None], wrong).any(axis=1))
+
+
 def _different(state: State, block: BoolArray, motions: Array, frames: IntArray) -> IntArray:
     """Indices of motions that do not lead to the place of one before them."""
     carried = motions @ state.pose[np.argmax(block)]
-    turn, shift = se3.distance(carried[:, None], carried[None])
-    same = (turn < SAME_RAD) & (shift < SAME_M) & (frames[:, None] == frames)
+    same = _same(carried[:, None], carried) & (frames[:, None] == frames)
     kept: list[int] = []
     for k in range(len(motions)):
         if not same[k, kept].any():
             kept.append(k)
     return np.array(kept, dtype=np.int64)
+
+
+def _same(one: Array, other: Array) -> BoolArray:
+    """(...) which of (..., 4, 4) poses, broadcast against each other, are one place."""
+    turn, shift = se3.distance(one, other)
+    return np.asarray((turn < SAME_RAD) & (shift < SAME_M))

@@ -146,4 +146,7 @@ def _without(
     kept = {c.rank: c.probability for c in candidates if c.rank not in vetoed}
     wrong = sum(c.probability for c in candidates if c.rank in vetoed)
     remaining = max(1.0 - wrong, sum(kept.values()), np.finfo(np.float64).tiny)
-    return tuple(replace(c, probability=kept.get(c.rank, 0.0) / remaining) for c in candidates)
+    return tuple(
+        replace(c, probability=kept.get(c.rank, 0.0) / remaining, vetoed=c.rank in vetoed)
+        for c in candidates
+    )

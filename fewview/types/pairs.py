@@ -96,6 +96,7 @@ class PoseCandidate:
             (m): the order of GTSAM's Pose3.
         matches: agreeing correspondences, (m, 2) indices per feature kind.
         told: whether the user says that it is right.
+        vetoed: whether the user says that it is wrong; its probability is 0 then.
     """
 
     rank: int
@@ -107,6 +108,7 @@ class PoseCandidate:
     covariance: Array
     matches: Mapping[str, IntArray] = field(default_factory=dict)
     told: bool = False
+    vetoed: bool = False
 
 
 class PairStatus(StrEnum):

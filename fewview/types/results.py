@@ -139,13 +139,20 @@ class GlobalSolution:
     found: Mapping[tuple[int, int], PoseCandidate] = field(default_factory=dict)
 
     def with_found(self, pairs: Sequence[PairResult]) -> tuple[PairResult, ...]:
-        """The pairs that were solved, each with the candidate found for it, if any."""
-        return tuple(
-            replace(pair, candidates=(*pair.candidates, self.found[pair.source, pair.target]))
-            if (pair.source, pair.target) in self.found
-            else pair
-            for pair in pairs
-        )
+        """The pairs that were solved, each with the candidate found for it, if any.
+
+        One candidate of a pair at most is right: what a found one is believed with is taken from
+        the others.
+        """
+        return tuple(self._with_found(pair) for pair in pairs)
+
+    def _with_found(self, pair: PairResult) -> PairResult:
+        found = self.found.get((pair.source, pair.target))
+        if found is None:
+            return pair
+        left = 1.0 - found.probability
+        others = (replace(c, probability=left * c.probability) for c in pair.candidates)
+        return replace(pair, candidates=(*others, found))
 
     @property
     def headline(self) -> str:
