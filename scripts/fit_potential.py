@@ -1,12 +1,13 @@
 """Fit the potential of two scans that stand in one room, and store it in the package.
 
-    python scripts/fit_potential.py --rooms 80 --cache results/potential
+    python scripts/fit_potential.py --rooms 80 --scene FOLDER ... --check FOLDER ...
 
 Pseudo-likelihood: in generated rooms of the validation split that played no part in fitting the
-candidates' probabilities, one scan of a set is put beside one to four others that stand right. Of
-all places that candidates and the aligner propose for it, one is right or none is; the log odds of
-a place are the sum of the potentials of the pairs that it creates. The report is of rooms in turn
-held out by quarters; what is stored is fitted to all.
+candidates' probabilities, and in folders given with --scene, one scan of a set is put beside one to
+four others that stand right. Of all places that candidates and the aligner propose for it, one is
+right or none is; the log odds of a place are the sum of the potentials of the pairs that it
+creates. The report is of scenes in turn held out by quarters, and of folders given with --check,
+which are never fitted to; what is stored is fitted to all others.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ import torch
 from scipy.optimize import minimize
 from torch import Tensor, nn
 
+from fewview import scans as readers
 from fewview import synthetic, weights
 from fewview.completion import complete
 from fewview.config import Config
@@ -38,11 +41,13 @@ from fewview.matching.prepared import PreparedScan, aligned, prepare
 from fewview.pairwise import match_pair
 from fewview.probability import CLIP, ProbabilityModel
 from fewview.together import VOTES, PotentialModel, Together, pair_quantities
-from fewview.types import Array, BoolArray, PairResult
+from fewview.types import Array, BoolArray, Frame, PairResult
 
 FIRST_ROOM = 64
 """Of the validation split; those before it made the candidates' probabilities."""
-VIEWS, SIZE, EXTREME_SETS, MAX_OVERLAP = 16, 5, 2, 0.1
+VIEWS, SIZE, MAX_OVERLAP = 16, 5, 0.1
+EXTREME_SETS, RANDOM_SETS = 2, 1
+SETS_OF_A_FOLDER, MOST_FRAMES = (6, 4), 24
 RIGHT_DEG, RIGHT_M = 15.0, 0.3
 QUANTITIES = (
     VOTES,
@@ -79,12 +84,12 @@ class Sample:
     """A scan beside m others that stand right.
 
     Attributes:
-        room: where; kind: of set.
+        scene: where; kind: of set.
         quantities: (m, K, d) of the pairs that each of K places creates.
         turns_deg, shifts_m: (K,) how far each place is from the true one.
     """
 
-    room: int
+    scene: str
     kind: str
     quantities: Array
     turns_deg: Array
@@ -96,65 +101,95 @@ class Sample:
         return np.asarray((self.turns_deg < RIGHT_DEG) & (self.shifts_m < RIGHT_M))
 
 
+@dataclass(frozen=True)
+class Matched:
+    """A scene with its pairs.
+
+    Attributes:
+        sets: kind and views of each.
+        poses: (n, 4, 4) true world_T_scan.
+        scans, pairs: those of the sets.
+    """
+
+    sets: list[tuple[str, list[int]]]
+    poses: Array
+    scans: Mapping[int, PreparedScan]
+    pairs: Mapping[tuple[int, int], PairResult]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rooms", type=int, default=80)
+    parser.add_argument("--scene", type=Path, nargs="*", default=[])
+    parser.add_argument("--check", type=Path, nargs="*", default=[])
     parser.add_argument("--cache", type=Path, default=Path("results/potential"))
     parser.add_argument("--out", type=Path, default=weights.FOLDER / "potential.json")
     options = parser.parse_args()
     options.cache.mkdir(parents=True, exist_ok=True)
     rooms = range(FIRST_ROOM, FIRST_ROOM + options.rooms)
-    samples = [sample for room in rooms for sample in cached(options.cache, room)]
-    report = held_out(samples)
+    fit = [s for i in rooms for s in cached(options.cache, f"room-{i:03d}", partial(room, i))]
+    fit += [s for f in options.scene for s in cached(options.cache, f.name, partial(folder, f))]
+    check = [s for f in options.check for s in cached(options.cache, f.name, partial(folder, f))]
+    model, report = fitted(fit), {"held out": held_out(fit)}
+    for scene in dict.fromkeys(s.scene for s in check):
+        report[scene] = told([(model, s) for s in check if s.scene == scene])
     print(json.dumps(report, indent=1))
-    text = json.dumps(stored(fitted(samples), options.rooms, report), indent=1)
+    text = json.dumps(stored(model, options, report), indent=1)
     options.out.write_text(text + "\n")
 
 
-def cached(cache: Path, room: int) -> list[Sample]:
-    """The samples of a room, kept in an .npz."""
-    path = cache / f"room-{room:03d}.npz"
+def cached(cache: Path, name: str, make: Callable[[], Matched]) -> list[Sample]:
+    """The samples of a scene, kept in an .npz."""
+    path = cache / f"{name}.npz"
     if not path.is_file():
-        samples = list(samples_of(room, *matched_room(room)))
+        samples = list(samples_of(name, make()))
         arrays = {
             f"{k}/{sample.kind}/{name}": getattr(sample, name)
             for k, sample in enumerate(samples)
             for name in ("quantities", "turns_deg", "shifts_m")
         }
         np.savez(path, **arrays)
-        print(f"room {room}: {len(samples)} samples", flush=True)
+        print(f"{name}: {len(samples)} samples", flush=True)
     with np.load(path) as kept:
         heads = dict.fromkeys(name.rpartition("/")[0] for name in kept.files)
         return [
             Sample(
-                room,
+                name,
                 head.split("/")[1],
-                *(kept[f"{head}/{name}"] for name in ("quantities", "turns_deg", "shifts_m")),
+                *(kept[f"{head}/{part}"] for part in ("quantities", "turns_deg", "shifts_m")),
             )
             for head in heads
         ]
 
 
-Matched = tuple[
-    list[tuple[str, list[int]]], Array, dict[int, PreparedScan], dict[tuple[int, int], PairResult]
-]
+def room(index: int) -> Matched:
+    """A generated room of the validation split."""
+    scene = synthetic.generate(synthetic.split_seed("validation", index), VIEWS, index, "random")
+    poses = np.stack([scene.poses[name] for name in scene.names])
+    return matched(list(scene.frames), poses, EXTREME_SETS, RANDOM_SETS, index)
 
 
-def matched_room(room: int) -> Matched:
-    """Sets of views of a room by kind, the true poses, the scans and the pairs of the sets."""
-    config = Config()
-    scene = synthetic.generate(synthetic.split_seed("validation", room), VIEWS, room, "random")
-    frames, poses = list(scene.frames), np.stack([scene.poses[name] for name in scene.names])
+def folder(path: Path) -> Matched:
+    """Scans with ground truth, at most `MOST_FRAMES` of them."""
+    found, truth = readers.load(path).scans, readers.truth(path)
+    known = [scan for scan in found if scan.name in truth]
+    chosen = np.linspace(0, len(known) - 1, min(MOST_FRAMES, len(known))).astype(int)
+    frames = [known[i].load() for i in chosen]
+    poses = np.stack([truth[known[i].name] for i in chosen])
+    return matched(frames, poses, *SETS_OF_A_FOLDER, seed=0)
+
+
+def matched(frames: Sequence[Frame], poses: Array, extreme: int, random: int, seed: int) -> Matched:
+    """Draw sets of views, complete their scans and match their pairs."""
+    config, executor, rng = Config(), Executor(), np.random.default_rng(seed)
     clouds = [
         backproject(frame.depth, frame.intrinsics)[frame.depth > 0].astype(np.float64)
         for frame in frames
     ]
-    overlap = overlap_matrix(clouds, poses)
-    rng = np.random.default_rng(room)
-    sets = [("extreme", found) for found in apart(overlap, rng)]
-    sets.append(("random", sorted(rng.choice(VIEWS, SIZE, replace=False).tolist())))
+    sets = [("extreme", found) for found in apart(overlap_matrix(clouds, poses), extreme, rng)]
+    for _ in range(random):
+        sets.append(("random", sorted(rng.choice(len(frames), SIZE, replace=False).tolist())))
     needed = sorted({i for _, members in sets for i in members})
-    executor = Executor()
 
     def one(i: int) -> PreparedScan:
         return prepare(complete(str(i), frames[i], 0, config.features, i))
@@ -162,71 +197,57 @@ def matched_room(room: int) -> Matched:
     scans = dict(zip(needed, executor.map(one, needed), strict=True))
     pairs = sorted({pair for _, members in sets for pair in itertools.combinations(members, 2)})
     results = executor.map(lambda p: match_pair(scans[p[0]], scans[p[1]], p, config), pairs)
-    return sets, poses, scans, dict(zip(pairs, results, strict=True))
+    return Matched(sets, poses, scans, dict(zip(pairs, results, strict=True)))
 
 
-def apart(overlap: Array, rng: np.random.Generator) -> list[list[int]]:
+def apart(overlap: Array, count: int, rng: np.random.Generator) -> list[list[int]]:
     """Sets of views no two of which share more than `MAX_OVERLAP`."""
     found: list[list[int]] = []
     for _ in range(300):
         chosen: list[int] = []
-        for i in rng.permutation(VIEWS).tolist():
+        for i in rng.permutation(len(overlap)).tolist():
             if len(chosen) < SIZE and all(overlap[i, j] <= MAX_OVERLAP for j in chosen):
                 chosen.append(i)
         if len(chosen) == SIZE and all(len({*chosen} & {*other}) < SIZE - 1 for other in found):
             found.append(sorted(chosen))
-        if len(found) == EXTREME_SETS:
+        if len(found) == count:
             break
     return found
 
 
-def samples_of(
-    room: int,
-    sets: Sequence[tuple[str, list[int]]],
-    poses: Array,
-    scans: dict[int, PreparedScan],
-    pairs: dict[tuple[int, int], PairResult],
-) -> Iterator[Sample]:
+def samples_of(name: str, scene: Matched) -> Iterator[Sample]:
     """Every scan of every set beside one, two, ... of the others."""
-    rng = np.random.default_rng(room)
-    for kind, members in sets:
+    rng = np.random.default_rng(0)
+    for kind, members in scene.sets:
         for scan in members:
             others = [i for i in members if i != scan]
             for size in range(1, SIZE):
                 beside = rng.permutation(others)[:size].tolist()
-                yield sample_of(room, kind, sorted([scan, *beside]), scan, poses, scans, pairs)
+                yield sample_of(name, kind, sorted([scan, *beside]), scan, scene)
 
 
-def sample_of(
-    room: int,
-    kind: str,
-    members: list[int],
-    scan: int,
-    poses: Array,
-    scans: dict[int, PreparedScan],
-    pairs: dict[tuple[int, int], PairResult],
-) -> Sample:
+def sample_of(name: str, kind: str, members: list[int], scan: int, scene: Matched) -> Sample:
     """One of the members taken out of its place."""
     place = {i: k for k, i in enumerate(members)}
     results = [
-        replace(pairs[i, j], source=place[i], target=place[j])
+        replace(scene.pairs[i, j], source=place[i], target=place[j])
         for i, j in itertools.combinations(members, 2)
     ]
     problem = build(len(members), results, Config().global_stage)
     block = np.arange(len(members)) == place[scan]
-    state = State(poses[members], block.astype(np.int64))
-    together = Together(lambda k: scans[members[k]], NOTHING)
+    state = State(scene.poses[members], block.astype(np.int64))
+    together = Together(lambda k: scene.scans[members[k]], NOTHING)
     motions, frames = proposed(problem, state, block, together)
     motions, frames = motions[1:], frames[1:]
     asked = []
     for pair in created(problem, state, block, motions, frames):
-        source, target = scans[members[pair.source]], scans[members[pair.target]]
+        source, target = (scene.scans[members[i]] for i in (pair.source, pair.target))
         alignment = aligned(source, target)
         assert alignment is not None
         found = pair_quantities(source, target, pair.poses, alignment) | {VOTES: pair.votes}
         asked.append(np.stack([found[name] for name in QUANTITIES], axis=1))
-    turn, shift = se3.distance(motions @ poses[scan], poses[scan])
-    return Sample(room, kind, np.stack(asked), np.degrees(turn), shift)
+    turn, shift = se3.distance(motions @ scene.poses[scan], scene.poses[scan])
+    return Sample(name, kind, np.stack(asked), np.degrees(turn), shift)
 
 
 def fitted(samples: Sequence[Sample]) -> PotentialModel:
@@ -291,20 +312,26 @@ def probabilities(model: PotentialModel, sample: Sample) -> Array:
 
 
 def held_out(samples: Sequence[Sample]) -> Json:
-    """What models fitted without a quarter of the rooms say of it, by kind of set and number of
-    scans beside."""
-    rooms = sorted({sample.room for sample in samples})
-    told: dict[str, list[tuple[Any, ...]]] = {}
+    """What models fitted without a quarter of the scenes say of it."""
+    scenes = sorted({sample.scene for sample in samples})
+    judged = []
     for fold in range(FOLDS):
-        out = {room for k, room in enumerate(rooms) if k % FOLDS == fold}
-        model = fitted([s for s in samples if s.room not in out])
-        for sample in (s for s in samples if s.room in out):
-            p = probabilities(model, sample)
-            best = int(p[1:].argmax())
-            chance = p[1:][sample.right].sum() if sample.right.any() else p[0]
-            row = sample.right.any(), sample.right[best], p[1 + best], chance
-            told.setdefault(f"{sample.kind}, beside {len(sample.quantities)}", []).append(row)
-    return {name: _summary(np.array(rows)) for name, rows in sorted(told.items())}
+        out = set(scenes[fold::FOLDS])
+        model = fitted([s for s in samples if s.scene not in out])
+        judged += [(model, s) for s in samples if s.scene in out]
+    return told(judged)
+
+
+def told(judged: Sequence[tuple[PotentialModel, Sample]]) -> Json:
+    """What models say of samples, by kind of set and number of scans beside."""
+    rows: dict[str, list[tuple[Any, ...]]] = {}
+    for model, sample in judged:
+        p = probabilities(model, sample)
+        best = int(p[1:].argmax())
+        chance = p[1:][sample.right].sum() if sample.right.any() else p[0]
+        row = sample.right.any(), sample.right[best], p[1 + best], chance
+        rows.setdefault(f"{sample.kind}, beside {len(sample.quantities)}", []).append(row)
+    return {name: _summary(np.array(found)) for name, found in sorted(rows.items())}
 
 
 def _summary(rows: Array) -> Json:
@@ -321,7 +348,7 @@ def _summary(rows: Array) -> Json:
     }
 
 
-def stored(model: PotentialModel, rooms: int, report: Json) -> Json:
+def stored(model: PotentialModel, options: argparse.Namespace, report: Json) -> Json:
     pair = model.pair
     arrays = ("mean", "scale", "coefficients", "inner", "inner_offsets", "outer")
     return {
@@ -333,9 +360,11 @@ def stored(model: PotentialModel, rooms: int, report: Json) -> Json:
             "by": "scripts/fit_potential.py",
             "model": f"sum over pairs, {HIDDEN} inner units, ridges {RIDGE} and {HIDDEN_RIDGE}",
             "right_within": {"deg": RIGHT_DEG, "m": RIGHT_M},
-            "rooms": [FIRST_ROOM, FIRST_ROOM + rooms],
+            "rooms": [FIRST_ROOM, FIRST_ROOM + options.rooms],
+            "scenes": [f.name for f in options.scene],
+            "checked_on": [f.name for f in options.check],
             "config_hash": Config().hash(),
-            "held_out": report,
+            "report": report,
         },
     }
 

@@ -35,7 +35,8 @@ def main() -> None:
         turned = tuple(rolled(scene, options.seed, options.cache) for scene in dataset.scenes)
         dataset = replace(dataset, name=f"{dataset.name}-rolled", scenes=turned)
     store = Store(options.cache / "answers")
-    sets = sets_of(dataset, options.sets, options.quick, options.seed, options.cache)
+    drawn = sets_of(dataset, options.sets, options.quick, options.seed, options.cache)
+    sets = [one for one in drawn if not options.sizes or len(one[1].names) in options.sizes]
     tasks = {
         name: [SetTask(store, MULTI_METHODS[name], scene, s.names) for scene, s in sets]
         for name in options.methods
@@ -54,6 +55,7 @@ def arguments() -> argparse.Namespace:
     """The command line."""
     made = parser(__doc__, "few-view")
     made.add_argument("--sets", nargs="+", default=["random"], help=KINDS_NOTE)
+    made.add_argument("--sizes", type=int, nargs="+", help="scans of a set, all sizes by default")
     made.add_argument(
         "--methods",
         type=multi_names,
