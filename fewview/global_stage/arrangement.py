@@ -10,6 +10,8 @@ relative to another when every block that separates the two is, as in `belief`.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from scipy.sparse import csgraph, csr_array
 from scipy.special import logsumexp
@@ -22,7 +24,7 @@ from fewview.global_stage.discrete import grown
 from fewview.global_stage.model import TOLD_EVIDENCE, Problem
 from fewview.global_stage.placement import State, agreement_now, gain_matrix
 from fewview.global_stage.places import Places, Potentials, places
-from fewview.types import Array, BoolArray
+from fewview.types import Array, BoolArray, IntArray
 
 SURE = 0.98
 """Scans that the candidates alone place with this probability are not asked about again."""
@@ -35,6 +37,12 @@ SWEEPS = 4
 
 RIGID = 1e6
 """Strength of the links inside a node: no weak link ever runs through it."""
+
+SPEAKERS, STRONGEST = 6, 3
+"""Pairs of scans asked about the places of two nodes, and how many by their candidates."""
+
+LOOK_M = 1.5
+"""What a camera looks at is this far in front of it."""
 
 TOLERANCE = 1e-6
 """Smallest improvement of the log odds that counts."""
@@ -63,6 +71,7 @@ class Arranging:
         self.settled = settled
         self.rigid = _rigid(problem, settled, probability)
         self.nodes: BoolArray = np.unique(self.rigid, axis=0)
+        self.asked = speakers(problem, settled, self.nodes)
         sure = (probability >= SURE) & (self.rigid.sum(axis=1) > 1)
         self.within: Array = np.where(sure, probability, 1.0)
 
@@ -149,7 +158,7 @@ class Arranging:
         return found
 
     def _places(self, state: State, block: BoolArray) -> Places:
-        return places(self.problem, state, block, self.potentials)
+        return places(self.problem, state, block, self.potentials, self.asked)
 
     def _score(self, state: State) -> float:
         joins = len(self.nodes) - len(np.unique(state.component))
@@ -158,7 +167,7 @@ class Arranging:
     def matrix(self, state: State) -> Array:
         """(n, n) symmetric potentials of the pairs that stand together, 0 within nodes."""
         votes = gain_matrix(self.problem, state)
-        asked = (state.component[:, None] == state.component) & ~self.rigid
+        asked = (state.component[:, None] == state.component) & self.asked
         out = np.zeros_like(votes)
         for i, j in np.argwhere(np.triu(asked)).tolist():
             motion = se3.inverse(state.pose[j]) @ state.pose[i]
@@ -178,6 +187,44 @@ class Arranging:
         first = component & (np.cumsum(component, axis=1) == 1)
         sides = np.where((sides & first).any(axis=1)[:, None], component & ~sides, sides)
         return np.unique(sides[sides.any(axis=1)], axis=0)
+
+
+def speakers(problem: Problem, settled: State, nodes: BoolArray) -> BoolArray:
+    """(n, n) pairs of scans that are asked about the places of two nodes.
+
+    Of large nodes a few scans speak for all: the potential is fitted to a few, and what many say
+    that show the same is said once. The pairs with the strongest candidates come first, then those
+    of scans that look at different places; a veto is always heard.
+    """
+    votes = np.zeros((problem.scans, problem.scans))
+    np.maximum.at(votes, (problem.source, problem.target), problem.evidence)
+    votes = np.maximum(votes, votes.T)
+    seen = se3.transform(settled.pose, np.array([[0.0, 0.0, LOOK_M]]))[:, 0]
+    order = np.zeros(problem.scans)
+    for node in nodes:
+        order[_spread(seen, np.flatnonzero(node))] = np.arange(node.sum())
+    asked = np.zeros_like(votes, dtype=bool)
+    for one, other in itertools.combinations(nodes, 2):
+        i, j = np.nonzero(np.outer(one, other))
+        strongest = np.argsort(-votes[i, j], kind="stable")[:STRONGEST]
+        strongest = strongest[votes[i, j][strongest] > 0.0]
+        different = np.argsort(order[i] + order[j], kind="stable")
+        chosen = list(dict.fromkeys([*strongest.tolist(), *different.tolist()]))[:SPEAKERS]
+        asked[i[chosen], j[chosen]] = True
+    for source, target in problem.vetoed:
+        asked[source, target] = not np.any(nodes[:, source] & nodes[:, target])
+    return np.asarray(asked | asked.T)
+
+
+def _spread(points: Array, members: IntArray) -> IntArray:
+    """The members with those first that are far from all before them, the first one stays."""
+    chosen = [0]
+    gap = np.linalg.norm(points[members] - points[members[0]], axis=1)
+    for _ in range(len(members) - 1):
+        gap[chosen] = -1.0
+        chosen.append(int(np.argmax(gap)))
+        gap = np.minimum(gap, np.linalg.norm(points[members] - points[members[chosen[-1]]], axis=1))
+    return np.asarray(members[chosen])
 
 
 def _rigid(problem: Problem, settled: State, probability: Array) -> BoolArray:

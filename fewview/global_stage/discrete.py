@@ -28,6 +28,9 @@ POLISHED = 8
 TRIALS = 64
 """Moves of blocks looked at for each answer that is asked for."""
 
+PROSPECT = 8.0
+"""A move that loses more of the objective leads to no answer that is worth telling."""
+
 TOLERANCE = 1e-9
 """Smallest improvement of the objective that counts."""
 
@@ -101,7 +104,7 @@ def _neighbours(problem: Problem, state: State, known: Sequence[State], count: i
         (choice.score[k] - choice.stay, block, choice.motion[k], int(choice.component[k]))
         for block in np.unique(np.concatenate([singles, _blocks(problem, state)]), axis=0)
         for choice in [options(problem, state, block)]
-        for k in np.flatnonzero(~choice.same)
+        for k in np.flatnonzero(~choice.same & (choice.score > choice.stay - PROSPECT))
     ]
     moves.sort(key=lambda move: -move[0])
     found: list[State] = []

@@ -89,7 +89,13 @@ class Created:
     votes: Array
 
 
-def places(problem: Problem, state: State, block: BoolArray, potentials: Potentials) -> Places:
+def places(
+    problem: Problem,
+    state: State,
+    block: BoolArray,
+    potentials: Potentials,
+    asked: BoolArray | None = None,
+) -> Places:
     """Every place that candidates or the aligner propose for a block, judged by all scans there.
 
     Args:
@@ -97,11 +103,12 @@ def places(problem: Problem, state: State, block: BoolArray, potentials: Potenti
         state: the present labelling; all scans of ``block`` are in one component.
         block: (n,) the scans that move together, not all scans.
         potentials: of pairs of scans.
+        asked: (n, n) pairs of scans that have a say; all when not given.
     """
     home = int(state.component[block][0])
     motions, frames = proposed(problem, state, block, potentials)
     score: Array = np.full(len(motions), potentials.join)
-    for pair in created(problem, state, block, motions, frames):
+    for pair in created(problem, state, block, motions, frames, asked):
         score[pair.here] += potentials.potential(pair.source, pair.target, pair.poses, pair.votes)
         score[pair.here[_vetoed(problem, pair)]] = -np.inf
     alone = not np.any((state.component == home) & ~block)
@@ -136,9 +143,15 @@ def proposed(
 
 
 def created(
-    problem: Problem, state: State, block: BoolArray, motions: Array, frames: IntArray
+    problem: Problem,
+    state: State,
+    block: BoolArray,
+    motions: Array,
+    frames: IntArray,
+    asked: BoolArray | None = None,
 ) -> Iterator[Created]:
-    """The pairs of scans that (a, 4, 4) motions of a block into (a,) frames put together."""
+    """The pairs of scans that (a, 4, 4) motions of a block into (a,) frames put together, of those
+    ``asked``."""
     crossing = Crossing.of(problem, state, block)
     agree = crossing.agreement(problem, state, motions, frames)
     votes = pair_gains(problem, crossing.candidates, agree)
@@ -147,7 +160,8 @@ def created(
     column = {pair: q for q, pair in enumerate(pairs)}
     for j in np.flatnonzero(~block).tolist():
         here = np.flatnonzero(frames == state.component[j])
-        for i in np.flatnonzero(block).tolist() if len(here) else ():
+        speaking = block if asked is None else block & asked[j]
+        for i in np.flatnonzero(speaking).tolist() if len(here) else ():
             pose = se3.inverse(state.pose[j]) @ motions[here] @ state.pose[i]
             vote = votes[here, column[i, j]] if (i, j) in column else np.zeros(len(here))
             if i < j:
