@@ -103,7 +103,7 @@ def test_scalars_keep_their_type(value: Any) -> None:
     assert bits(decode(encode(intrinsics), Intrinsics)) == bits(intrinsics)
 
 
-@pytest.mark.parametrize("value", [{1, 2}, object(), np.array([None])], ids=repr)
+@pytest.mark.parametrize("value", [{1, 2}, object(), np.array([None])], ids=["set", "object", "objects"])
 def test_what_cannot_be_kept_is_refused(value: Any) -> None:
     with pytest.raises(TypeError, match="cannot be recorded"):
         encode(dataclasses.replace(CAMERA, fx=value))
@@ -296,7 +296,9 @@ class Work(Observer):
             Scan(name, CAMERA, Pixels(values.get(name, ord(name) - ord("a")))) for name in names
         )
         kept = None if folder is None else Store(folder)
-        return pipeline.reconstruct(ScanSet("test", scans, 1.0), config, seed, 1, [self], kept)
+        return pipeline.reconstruct(
+            ScanSet("test", scans, 1.0), config, seed, 1, [self], store=kept
+        )
 
 
 @pytest.fixture
