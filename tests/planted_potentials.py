@@ -13,6 +13,7 @@ from fewview.geometry import se3
 from fewview.types import Array, CandidateOrigin, PoseCandidate
 
 SAME_RAD, SAME_M = np.radians(5.0), 0.1
+MOST_VOTES = 10.0
 
 
 @dataclass
@@ -36,13 +37,14 @@ class Planted:
     asked: list[tuple[int, int]] = field(default_factory=list)
 
     def potential(self, source: int, target: int, poses: Array, votes: Array) -> Array:
-        """The votes and what is said of the place that a pose is at."""
+        """What is said of the way at which a pose is, and votes, of which more count no more."""
         self.asked.append((source, target))
         ways = self._ways(source, target)
         turn, shift = se3.distance(poses[:, None], ways.reshape(-1, 4, 4))
         near = (turn < SAME_RAD) & (shift < SAME_M)
         said = self._said(source, target).ravel()[np.argmax(near, axis=1)]
-        return votes + np.where(near.any(axis=1), said, self.elsewhere)
+        here = np.where(near.any(axis=1), said, self.elsewhere)
+        return np.asarray(here + np.minimum(votes, MOST_VOTES))
 
     def proposals(self, moving: Mapping[int, Array], fixed: Mapping[int, Array]) -> Array:
         """Every motion that brings a scan of one group to one of the ways to one of the other, the

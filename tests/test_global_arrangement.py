@@ -272,6 +272,16 @@ def test_weak_candidates_that_the_scans_confirm_are_found_and_believed() -> None
     assert min(p.probability for p in solution.placements) > 0.95
 
 
+def test_components_move_as_a_whole() -> None:
+    """No scan leaves the one that it has for the two that it gains."""
+    placed = places_of(25, 4)
+    across = np.array([[0.8, -3.0], [-3.0, -3.0]])
+    said = {(i, j): across for i in (0, 1) for j in (2, 3)}
+    pairs = linked(placed, {(0, 1): 0.6, (2, 3): 0.6})
+    solution = run(Planted(placed, said), placed, pairs)
+    assert [c.scans for c in solution.components] == [(0, 1, 2, 3)]
+
+
 def test_scans_without_any_candidate_are_joined() -> None:
     placed = places_of(6, 3)
     solution = run(Planted(placed), placed, linked(placed, {}))
@@ -305,6 +315,17 @@ def test_sure_scans_stay_as_they_stand_and_are_not_asked() -> None:
     assert solution.components[0].scans == (0, 1, 2, 3)
     assert is_right(solution, placed, 0, 1) and is_right(solution, placed, 1, 2)
     assert set(potentials.asked) == {(0, 3), (1, 3), (2, 3)}
+
+
+def test_sure_clusters_are_joined_by_what_their_scans_say() -> None:
+    placed = places_of(24, 6)
+    links = {**core(3), **{(i + 3, j + 3): p for (i, j), p in core(3).items()}}
+    pairs = linked(placed, links)
+    assert len(run(None, placed, pairs).components) == 2
+    solution = run(Planted(placed), placed, pairs)
+    assert [c.scans for c in solution.components] == [tuple(range(6))]
+    assert is_right(solution, placed, 0, 3) and is_right(solution, placed, 2, 5)
+    assert len(solution.found) == 1
 
 
 def test_sure_scans_that_come_apart_are_a_component() -> None:
@@ -344,6 +365,7 @@ def test_told_scans_carry_the_doubt_of_their_block_once() -> None:
     priors = Priors(pairs={(3, 4): PairPrior(way(placed, 3, 4))})
     pairs = [priors.constrain(p) for p in linked(placed, {**core(3), (2, 3): 0.6})]
     said = {(i, j): np.zeros((2, 2)) for i in range(3) for j in (3, 4)}
+    said[3, 4] = np.full((2, 2), -20.0)
     solution = run(Planted(placed, said, join=-3.1), placed, pairs)
     chance = 1.0 / (1.0 + np.exp(3.1 - np.log1p(0.6 / 0.4 / CONFIG.chance_agreement)))
     for scan in (3, 4):

@@ -215,6 +215,7 @@ def test_a_veto_leaves_the_rest_to_the_others_and_to_none() -> None:
     pair = constrained(weighed([0.6, 0.2, 0.1]), PairPrior(veto=frozenset({0})))
     np.testing.assert_allclose(probabilities(pair), [0.0, 0.5, 0.25])
     assert pair.status is PairStatus.OK and not any(c.told for c in pair.candidates)
+    assert [c.vetoed for c in pair.candidates] == [True, False, False]
 
 
 @pytest.mark.parametrize("veto", ["all", frozenset({0, 1})])
