@@ -3,11 +3,13 @@
     python scripts/fit_potential.py --rooms 80 --scene FOLDER ... --check FOLDER ...
 
 Pseudo-likelihood: in generated rooms of the validation split that played no part in fitting the
-candidates' probabilities, and in folders given with --scene, one scan of a set is put beside one to
-four others that stand right. Of all places that candidates and the aligner propose for it, one is
-right or none is; the log odds of a place are the sum of the potentials of the pairs that it
-creates. The report is of scenes in turn held out by quarters, and of folders given with --check,
-which are never fitted to; what is stored is fitted to all others.
+candidates' probabilities, and in folders given with --scene, one or two scans of a set are put
+beside others that stand right. Of all places that candidates and the aligner propose for them, one
+is right or none is; the log odds of a place are the sum of the potentials of the pairs that it
+creates. Guests are put beside each set too, for which no place is right: strangers, scans of the
+next room, and twins, scans of the room that is the mirror image of this one.
+The report is of scenes in turn held out by quarters, and of folders given with --check, which are
+never fitted to; what is stored is fitted to all others.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import itertools
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,7 @@ from fewview import scans as readers
 from fewview import synthetic, weights
 from fewview.completion import complete
 from fewview.config import Config
+from fewview.errors import FewviewError
 from fewview.evaluation.overlap import overlap_matrix
 from fewview.executor import Executor
 from fewview.geometry import se3
@@ -47,6 +50,12 @@ FIRST_ROOM = 64
 """Of the validation split; those before it made the candidates' probabilities."""
 VIEWS, SIZE, MAX_OVERLAP = 16, 5, 0.1
 EXTREME_SETS, RANDOM_SETS = 2, 1
+GUESTS, BLOCKS = 2, 2
+BESIDE = {
+    "strangers": ((1, 1), (1, 2), (1, 3), (1, 4), (2, 2), (2, 3)),
+    "twins": ((1, 4), (2, 3)),
+}
+"""How many guests stand beside how many scans of a set."""
 SETS_OF_A_FOLDER, MOST_FRAMES = (6, 4), 24
 RIGHT_DEG, RIGHT_M = 15.0, 0.3
 QUANTITIES = (
@@ -81,11 +90,11 @@ Json = dict[str, Any]
 
 @dataclass(frozen=True)
 class Sample:
-    """A scan beside m others that stand right.
+    """A block of scans beside others that stand right.
 
     Attributes:
-        scene: where; kind: of set.
-        quantities: (m, K, d) of the pairs that each of K places creates.
+        scene: where; kind: of set, and how many scans stand beside how many.
+        quantities: (m, K, d) of the m pairs that each of K places creates.
         turns_deg, shifts_m: (K,) how far each place is from the true one.
     """
 
@@ -107,14 +116,25 @@ class Matched:
 
     Attributes:
         sets: kind and views of each.
-        poses: (n, 4, 4) true world_T_scan.
-        scans, pairs: those of the sets.
+        guests: kind and two views of each.
+        poses: (n, 4, 4) true world_T_scan; those of guests are right among themselves.
+        scans: of the sets, and the guests.
     """
 
     sets: list[tuple[str, list[int]]]
+    guests: list[tuple[str, list[int]]]
     poses: Array
     scans: Mapping[int, PreparedScan]
-    pairs: Mapping[tuple[int, int], PairResult]
+
+    @cached_property
+    def _pairs(self) -> dict[tuple[int, int], PairResult]:
+        return {}
+
+    def pair(self, i: int, j: int) -> PairResult:
+        """The candidates of two scans, the first with the smaller index; matched when asked for."""
+        if (i, j) not in self._pairs:
+            self._pairs[i, j] = match_pair(self.scans[i], self.scans[j], (i, j), Config())
+        return self._pairs[i, j]
 
 
 def main() -> None:
@@ -163,10 +183,34 @@ def cached(cache: Path, name: str, make: Callable[[], Matched]) -> list[Sample]:
 
 
 def room(index: int) -> Matched:
-    """A generated room of the validation split."""
-    scene = synthetic.generate(synthetic.split_seed("validation", index), VIEWS, index, "random")
-    poses = np.stack([scene.poses[name] for name in scene.names])
-    return matched(list(scene.frames), poses, EXTREME_SETS, RANDOM_SETS, index)
+    """A generated room of the validation split, strangers from the next that has a place, twins."""
+    frames, poses = _views(index, VIEWS)
+    guests = {"strangers": _strangers(index + 1), "twins": _mirrored(*_views(index, GUESTS))}
+    return matched(frames, poses, EXTREME_SETS, RANDOM_SETS, index, guests)
+
+
+def _strangers(index: int) -> tuple[list[Frame], Array]:
+    try:
+        return _views(index, GUESTS)
+    except FewviewError:
+        return _strangers(index + 1)
+
+
+def _views(index: int, count: int) -> tuple[list[Frame], Array]:
+    scene = synthetic.generate(synthetic.split_seed("validation", index), count, index, "random")
+    return list(scene.frames), np.stack([scene.poses[name] for name in scene.names])
+
+
+def _mirrored(frames: Sequence[Frame], poses: Array) -> tuple[list[Frame], Array]:
+    """What the same cameras see in the mirror image of the room."""
+    flip = np.diag([-1.0, 1.0, 1.0, 1.0])
+    flipped = []
+    for frame in frames:
+        camera = frame.intrinsics
+        turned = replace(camera, cx=camera.width - 1 - camera.cx)
+        colour, depth = frame.colour[:, ::-1].copy(), frame.depth[:, ::-1].copy()
+        flipped.append(replace(frame, colour=colour, depth=depth, intrinsics=turned))
+    return flipped, flip @ poses @ flip
 
 
 def folder(path: Path) -> Matched:
@@ -179,9 +223,16 @@ def folder(path: Path) -> Matched:
     return matched(frames, poses, *SETS_OF_A_FOLDER, seed=0)
 
 
-def matched(frames: Sequence[Frame], poses: Array, extreme: int, random: int, seed: int) -> Matched:
-    """Draw sets of views, complete their scans and match their pairs."""
-    config, executor, rng = Config(), Executor(), np.random.default_rng(seed)
+def matched(
+    frames: Sequence[Frame],
+    poses: Array,
+    extreme: int,
+    random: int,
+    seed: int,
+    guests: Mapping[str, tuple[list[Frame], Array]] | None = None,
+) -> Matched:
+    """Draw sets of views and complete their scans and the guests."""
+    config, rng = Config(), np.random.default_rng(seed)
     clouds = [
         backproject(frame.depth, frame.intrinsics)[frame.depth > 0].astype(np.float64)
         for frame in frames
@@ -190,14 +241,18 @@ def matched(frames: Sequence[Frame], poses: Array, extreme: int, random: int, se
     for _ in range(random):
         sets.append(("random", sorted(rng.choice(len(frames), SIZE, replace=False).tolist())))
     needed = sorted({i for _, members in sets for i in members})
+    everything, known, invited = list(frames), [poses], []
+    for kind, (views, where) in (guests or {}).items():
+        invited.append((kind, list(range(len(everything), len(everything) + len(views)))))
+        needed += invited[-1][1]
+        everything += views
+        known.append(where)
 
     def one(i: int) -> PreparedScan:
-        return prepare(complete(str(i), frames[i], 0, config.features, i))
+        return prepare(complete(str(i), everything[i], 0, config.features, i))
 
-    scans = dict(zip(needed, executor.map(one, needed), strict=True))
-    pairs = sorted({pair for _, members in sets for pair in itertools.combinations(members, 2)})
-    results = executor.map(lambda p: match_pair(scans[p[0]], scans[p[1]], p, config), pairs)
-    return Matched(sets, poses, scans, dict(zip(pairs, results, strict=True)))
+    scans = dict(zip(needed, Executor().map(one, needed), strict=True))
+    return Matched(sets, invited, np.concatenate(known), scans)
 
 
 def apart(overlap: Array, count: int, rng: np.random.Generator) -> list[list[int]]:
@@ -216,25 +271,43 @@ def apart(overlap: Array, count: int, rng: np.random.Generator) -> list[list[int
 
 
 def samples_of(name: str, scene: Matched) -> Iterator[Sample]:
-    """Every scan of every set beside one, two, ... of the others."""
+    """Every scan of every set beside one, two, ... of the others, two together beside others, and
+    guests beside members."""
     rng = np.random.default_rng(0)
     for kind, members in scene.sets:
         for scan in members:
-            others = [i for i in members if i != scan]
+            others = rng.permutation([i for i in members if i != scan]).tolist()
             for size in range(1, SIZE):
-                beside = rng.permutation(others)[:size].tolist()
-                yield sample_of(name, kind, sorted([scan, *beside]), scan, scene)
+                yield sample_of(name, kind, [scan], others[:size], scene)
+    for kind, members in scene.sets:
+        for _ in range(BLOCKS):
+            order = rng.permutation(members).tolist()
+            yield sample_of(name, kind, order[:2], order[2:], scene)
+        for guest, views in scene.guests:
+            order = rng.permutation(members).tolist()
+            for count, beside in BESIDE[guest]:
+                about = f"{kind}, {guest}"
+                yield sample_of(name, about, views[:count], order[:beside], scene, guest=True)
 
 
-def sample_of(name: str, kind: str, members: list[int], scan: int, scene: Matched) -> Sample:
-    """One of the members taken out of its place."""
+def sample_of(
+    name: str,
+    kind: str,
+    moved: Sequence[int],
+    beside: Sequence[int],
+    scene: Matched,
+    guest: bool = False,
+) -> Sample:
+    """Some scans taken out of their place beside others, or guests beside them."""
+    members = sorted([*moved, *beside])
     place = {i: k for k, i in enumerate(members)}
     results = [
-        replace(scene.pairs[i, j], source=place[i], target=place[j])
+        replace(scene.pair(i, j), source=place[i], target=place[j])
         for i, j in itertools.combinations(members, 2)
+        if (i in moved) != (j in moved)
     ]
     problem = build(len(members), results, Config().global_stage)
-    block = np.arange(len(members)) == place[scan]
+    block = np.isin(members, moved)
     state = State(scene.poses[members], block.astype(np.int64))
     together = Together(lambda k: scene.scans[members[k]], NOTHING)
     motions, frames = proposed(problem, state, block, together)
@@ -246,8 +319,15 @@ def sample_of(name: str, kind: str, members: list[int], scan: int, scene: Matche
         assert alignment is not None
         found = pair_quantities(source, target, pair.poses, alignment) | {VOTES: pair.votes}
         asked.append(np.stack([found[name] for name in QUANTITIES], axis=1))
-    turn, shift = se3.distance(motions @ scene.poses[scan], scene.poses[scan])
-    return Sample(name, kind, np.stack(asked), np.degrees(turn), shift)
+    true = scene.poses[moved[0]]
+    turn, shift = se3.distance(motions @ true, true)
+    return Sample(
+        name,
+        f"{kind}, {len(moved)} beside {len(beside)}",
+        np.stack(asked),
+        np.where(guest, 180.0, np.degrees(turn)),
+        np.where(guest, np.inf, shift),
+    )
 
 
 def fitted(samples: Sequence[Sample]) -> PotentialModel:
@@ -287,7 +367,8 @@ def _padded(
     """Standardised quantities (S, m, K, d), which pairs (S, m) and places (S, K) there are, and
     the right place from 1 on, 0 for none."""
     most = max(s.quantities.shape[1] for s in samples)
-    f = torch.zeros(len(samples), SIZE - 1, most, len(QUANTITIES), dtype=torch.float64)
+    widest = max(len(s.quantities) for s in samples)
+    f = torch.zeros(len(samples), widest, most, len(QUANTITIES), dtype=torch.float64)
     pairs = torch.zeros(f.shape[:2], dtype=torch.float64)
     places = torch.zeros(len(samples), most, dtype=torch.bool)
     right = torch.zeros(len(samples), dtype=torch.int64)
@@ -330,7 +411,7 @@ def told(judged: Sequence[tuple[PotentialModel, Sample]]) -> Json:
         best = int(p[1:].argmax())
         chance = p[1:][sample.right].sum() if sample.right.any() else p[0]
         row = sample.right.any(), sample.right[best], p[1 + best], chance
-        rows.setdefault(f"{sample.kind}, beside {len(sample.quantities)}", []).append(row)
+        rows.setdefault(sample.kind, []).append(row)
     return {name: _summary(np.array(found)) for name, found in sorted(rows.items())}
 
 

@@ -70,15 +70,15 @@ def test_planted_rooms_stay_apart(seed: int) -> None:
     assert [c.scans for c in solution.components] == [(0, 1, 2), (3, 4, 5)]
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_planted_halves_with_two_places_are_not_joined(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(6))
+def test_planted_halves_with_two_places_are_doubted(seed: int) -> None:
     """Nine pairs say the same of both places: together they are no surer than one."""
     poses, pairs = planted(seed, twin=0.45, other=0.0)
     solution = solved(poses, pairs)
-    assert [c.scans for c in solution.components] == [(0, 1, 2), (3, 4, 5)]
-    joined = [a for a in solution.alternatives if any(p.component == 0 for p in a.places)]
-    assert len(joined) == 2
-    assert joined[0].odds < 2.0 * joined[1].odds
+    assert min(p.probability for p in solution.placements) < 0.8
+    other = solution.alternatives[0]
+    assert 0.5 < other.odds <= 1.0
+    assert {place.scan for place in other.places} in ({0, 1, 2}, {3, 4, 5})
 
 
 def test_wrong_scans_are_those_that_leave_the_majority() -> None:

@@ -25,6 +25,7 @@ from fewview.errors import FewviewError, ScanError
 from fewview.records import RecordError, decode, encode
 from fewview.store import Store
 from fewview.types import (
+    Array,
     CompletedScan,
     Frame,
     GlobalSolution,
@@ -260,7 +261,7 @@ class Work(Observer):
         return np.array([self.turns.get(int(g.floor[0]), 0) for g in glances])
 
     def complete(
-        self, name: str, frame: Frame, turns: int, features: object, seed: int
+        self, name: str, frame: Frame, turns: int, features: object, seed: int, up: Array | None
     ) -> CompletedScan:
         self.asked.append(name)
         record: CompletedScan = example(CompletedScan, np.random.default_rng(seed))

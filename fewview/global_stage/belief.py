@@ -133,9 +133,8 @@ def _doubt(problem: Problem, state: State, gains: Array, shared: Array, block: B
         - _log_dissolved(problem, gains, block | rest)
         + np.logaddexp(0.0, problem.prior_cost - gains[np.ix_(block, rest)].sum())
     )
-    rival = (choice.component == home) & ~choice.same
-    elsewhere = score[1:][rival] - np.log(choice.copies[rival])
-    others = logsumexp(np.append(elsewhere, apart - accept))
+    rival = (choice.component == home) & ~choice.same & choice.best
+    others = logsumexp(np.append(score[1:][rival], apart - accept))
     return float(np.logaddexp(0.0, others - stay))
 
 

@@ -61,7 +61,7 @@ class Options:
         motion: (a, 4, 4) that carries the block there.
         component: (a,) label of the frame it enters.
         same: (a,) whether it proposes the present place, within the kernel's radius.
-        copies: (a,) number of proposals for this place, itself included.
+        best: (a,) whether no proposal of a higher score is for this place.
         gains: (1 + a, q) what each pair of scans adds, in the present place and in each proposal.
         inside, outside: (q,) the scans of those pairs.
     """
@@ -71,7 +71,7 @@ class Options:
     motion: Array
     component: IntArray
     same: BoolArray
-    copies: IntArray
+    best: BoolArray
     gains: Array
     inside: IntArray
     outside: IntArray
@@ -136,6 +136,8 @@ def options(problem: Problem, state: State, block: BoolArray) -> Options:
     agree = crossing.agreement(problem, state, motions, frames)
     gains = pair_gains(problem, crossing.candidates, agree)
     score = gains.sum(axis=1) - problem.join_cost
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[np.argsort(-score[1:], kind="stable")] = np.arange(len(order))
     first = crossing.first_of_pairs(problem)
     among = agree[:, order] > 0.0
     return Options(
@@ -144,7 +146,7 @@ def options(problem: Problem, state: State, block: BoolArray) -> Options:
         motion=motions[1:],
         component=frames[1:],
         same=among[0],
-        copies=among[1:].sum(axis=1),
+        best=~np.any(among[1:] & (rank < rank[:, None]), axis=1),
         gains=gains,
         inside=crossing.moving[first],
         outside=crossing.fixed[first],
