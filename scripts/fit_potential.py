@@ -185,7 +185,8 @@ def cached(cache: Path, name: str, make: Callable[[], Matched]) -> list[Sample]:
 def room(index: int) -> Matched:
     """A generated room of the validation split, strangers from the next that has a place, twins."""
     frames, poses = _views(index, VIEWS)
-    guests = {"strangers": _strangers(index + 1), "twins": _mirrored(*_views(index, GUESTS))}
+    twins = _mirrored(frames[:GUESTS], poses[:GUESTS])
+    guests = {"strangers": _strangers(index + 1), "twins": twins}
     return matched(frames, poses, EXTREME_SETS, RANDOM_SETS, index, guests)
 
 
