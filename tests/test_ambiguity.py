@@ -1,4 +1,4 @@
-"""Scans that invite confident mistakes: two rooms in one folder, corridors whose halves look alike."""
+"""Scans that invite confident mistakes: two rooms in one folder, halves that look alike."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from benchmark.ambiguity import Mixture, look_alike, score, two_rooms, wrong_scans
+from benchmark.ambiguity import look_alike, score, two_rooms, wrong_scans
 from benchmark.corridors import Likeness, corridor, corridor_views
 from benchmark.planted_graphs import (
     Noise,
@@ -111,3 +111,19 @@ def test_views_of_one_half_see_nothing_of_the_other() -> None:
     assert overlap(room, views[0], views[1], camera) > 0.2
     for one, other in itertools.product(views[:2], views[2:]):
         assert overlap(room, one, other, camera) < 0.05
+
+
+@pytest.mark.slow
+def test_scans_of_two_rooms_come_out_as_two_components() -> None:
+    told = score(mixed := two_rooms((2, 3), 4, 0), pipeline.reconstruct(mixed.scans))
+    assert [set(component) for component in told["components"]] in ([{"A"}, {"B"}], [{"B"}, {"A"}])
+    assert not told["wrong"]
+
+
+@pytest.mark.slow
+def test_mirrored_halves_are_not_laid_over_each_other_with_confidence() -> None:
+    told = score(
+        mixed := look_alike(Likeness.MIRRORED, 3, 0, 100), pipeline.reconstruct(mixed.scans)
+    )
+    assert len(told["components"]) == 2
+    assert not told["wrong"]

@@ -104,7 +104,9 @@ def test_scalars_keep_their_type(value: Any) -> None:
     assert bits(decode(encode(intrinsics), Intrinsics)) == bits(intrinsics)
 
 
-@pytest.mark.parametrize("value", [{1, 2}, object(), np.array([None])], ids=["set", "object", "objects"])
+@pytest.mark.parametrize(
+    "value", [{1, 2}, object(), np.array([None])], ids=["set", "object", "objects"]
+)
 def test_what_cannot_be_kept_is_refused(value: Any) -> None:
     with pytest.raises(TypeError, match="cannot be recorded"):
         encode(dataclasses.replace(CAMERA, fx=value))

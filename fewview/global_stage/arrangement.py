@@ -2,10 +2,12 @@
 
 The search over candidates (`discrete`) settles most scans of most sets. Scans that stand with less
 certainty than `SURE` are taken up again, each for itself; the sure ones of a component stay one
-rigid node. From several seeded trees, nodes and components move to the best of their `places` until
-nothing improves S' of that module. Then every node, and every block on one side of a weak link,
-stands right with its share of the odds of all its places, "elsewhere" among them; a scan is right
-relative to another when every block that separates the two is, as in `belief`.
+rigid node, unless what its scans see and foresee denies a link that holds it together: candidates
+of surfaces that look alike agree with each other where all are wrong. From several seeded trees,
+nodes and components move to the best of their `places` until nothing improves S' of that module.
+Then every node, and every block on one side of a weak link, stands right with its share of the odds
+of all its places, "elsewhere" among them; a scan is right relative to another when every block that
+separates the two is, as in `belief`.
 """
 
 from __future__ import annotations
@@ -28,6 +30,9 @@ from fewview.types import Array, BoolArray, IntArray
 
 SURE = 0.98
 """Scans that the candidates alone place with this probability are not asked about again."""
+
+CONFIRMED = 2.0
+"""Log odds of a link, by what its scans see and foresee, below which they deny it."""
 
 STARTS = 4
 """Trees from which the search starts."""
@@ -69,7 +74,7 @@ class Arranging:
         self.problem = problem
         self.potentials = potentials
         self.settled = settled
-        self.rigid = _rigid(problem, settled, probability)
+        self.rigid = self._undenied(_rigid(problem, settled, probability))
         self.nodes: BoolArray = np.unique(self.rigid, axis=0)
         self.asked = speakers(problem, settled, self.nodes)
         sure = (probability >= SURE) & (self.rigid.sum(axis=1) > 1)
@@ -116,6 +121,18 @@ class Arranging:
                 alone = node.sum() == 1
                 probability[node] = 0.0 if alone else np.minimum(self.within[node], CEILING)
         return probability
+
+    def _undenied(self, rigid: BoolArray) -> BoolArray:
+        """Nodes without the links that the scans on both sides deny."""
+        bound = _bound(self.problem, self.settled)
+        for side in tree_blocks(gain_matrix(self.problem, self.settled)):
+            other = (self.settled.component == self.settled.component[side][0]) & ~side
+            if np.any(rigid[side][:, other]) and not np.any(bound[side][:, other]):
+                pairs = speakers(self.problem, self.settled, np.stack([side, other]))
+                held = 0.5 * self.matrix(self.settled, pairs).sum() + self.potentials.join
+                if held < CONFIRMED:
+                    rigid = rigid & (side[:, None] == side)
+        return rigid
 
     def _from_tree(self, rng: np.random.Generator, noise: bool) -> Answer:
         state = State(self.settled.pose.copy(), np.argmax(self.rigid, axis=1))
@@ -164,10 +181,12 @@ class Arranging:
         joins = len(self.nodes) - len(np.unique(state.component))
         return float(0.5 * self.matrix(state).sum() + joins * self.potentials.join)
 
-    def matrix(self, state: State) -> Array:
-        """(n, n) symmetric potentials of the pairs that stand together, 0 within nodes."""
+    def matrix(self, state: State, asked: BoolArray | None = None) -> Array:
+        """(n, n) symmetric potentials of the pairs that are asked, by default those between nodes,
+        and stand together."""
         votes = gain_matrix(self.problem, state)
-        asked = (state.component[:, None] == state.component) & self.asked
+        asked = self.asked if asked is None else asked
+        asked = (state.component[:, None] == state.component) & asked
         out = np.zeros_like(votes)
         for i, j in np.argwhere(np.triu(asked)).tolist():
             motion = se3.inverse(state.pose[j]) @ state.pose[i]
@@ -231,9 +250,18 @@ def _rigid(problem: Problem, settled: State, probability: Array) -> BoolArray:
     """(n, n) scans that stay as they stand to each other: sure ones, fixed ones, told pairs."""
     together = settled.component[:, None] == settled.component
     sure = (probability >= SURE) | problem.fixed
-    linked = sure[:, None] & sure & together
+    return _connected((sure[:, None] & sure & together) | _bound(problem, settled))
+
+
+def _bound(problem: Problem, settled: State) -> BoolArray:
+    """(n, n) scans that the user has bound to each other."""
+    linked = problem.fixed[:, None] & problem.fixed
     told = (problem.evidence >= TOLD_EVIDENCE) & (agreement_now(problem, settled) > 0.0)
     linked[problem.source[told], problem.target[told]] = True
+    return _connected(linked)
+
+
+def _connected(linked: BoolArray) -> BoolArray:
     _, node = csgraph.connected_components(csr_array(linked), directed=False)
     return np.asarray(node[:, None] == node)
 
