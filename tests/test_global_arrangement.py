@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -307,14 +308,25 @@ def test_a_wrong_candidate_gives_way_to_what_the_others_see() -> None:
     assert (2, 3) not in solution.selected or solution.selected[2, 3] != 0
 
 
-def test_sure_scans_stay_as_they_stand_and_are_not_asked() -> None:
+def test_sure_scans_stay_as_they_stand_and_are_asked_about_their_links_alone() -> None:
     placed = places_of(9, 4)
-    against = {pair: np.full((2, 2), -9.0) for pair in core(3)}
+    against = {pair: np.full((2, 2), -3.0) for pair in core(3)}
     potentials = Planted(placed, {**against, (0, 3): np.array([[5.0, -3.0], [-3.0, -3.0]])})
     solution = run(potentials, placed, linked(placed, core(3)))
     assert solution.components[0].scans == (0, 1, 2, 3)
     assert is_right(solution, placed, 0, 1) and is_right(solution, placed, 1, 2)
-    assert set(potentials.asked) == {(0, 3), (1, 3), (2, 3)}
+    asked = Counter(potentials.asked)
+    assert set(asked) == {*core(3), (0, 3), (1, 3), (2, 3)}
+    assert max(asked[pair] for pair in core(3)) <= 2
+
+
+def test_a_sure_scan_that_the_others_deny_is_set_apart() -> None:
+    placed = places_of(26, 3)
+    denied = {(0, 2): np.full((2, 2), -20.0), (1, 2): np.full((2, 2), -20.0)}
+    pairs = linked(placed, core(3))
+    assert len(run(None, placed, pairs).components[0].scans) == 3
+    solution = run(Planted(placed, denied), placed, pairs)
+    assert [c.scans for c in solution.components] == [(0, 1)]
 
 
 def test_sure_clusters_are_joined_by_what_their_scans_say() -> None:
