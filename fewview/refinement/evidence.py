@@ -139,22 +139,29 @@ class _Meeting:
         surface, other = moving.scan.surface, fixed.scan.surface
         step = max(1, len(surface.points) // MAX_POINTS)
         points = se3.transform(fixed_T_moving, surface.points[::step])
-        normals = se3.rotate(fixed_T_moving, surface.normals[::step])
-        shape = points.shape[:2]
-        distance, index = fixed.tree.query(points.reshape(-1, 3), distance_upper_bound=NEAR_M)
-        found = np.isfinite(distance).reshape(shape)
-        index = np.where(np.isfinite(distance), index, 0).reshape(shape)
-        found &= (normals * other.normals[index]).sum(axis=-1) > 0.7
-        gap = np.abs(((points - other.points[index]) * other.normals[index]).sum(axis=-1))
-        count = found.sum(axis=-1)
-        difference = surface.colours[::step][None] - other.colours[index]
-        exposure = (difference * found[..., None]).sum(axis=1) / np.maximum(count, 1)[:, None]
-        difference = np.abs(difference - exposure[:, None]).mean(axis=-1) / 20.0
+        low, high = other.points.min(axis=0) - NEAR_M, other.points.max(axis=0) + NEAR_M
+        pose, row = np.nonzero(((points > low) & (points < high)).all(axis=-1))
+        distance, index = fixed.tree.query(points[pose, row], distance_upper_bound=NEAR_M)
+        near = np.isfinite(distance)
+        pose, row, index = pose[near], row[near], index[near]
+        normal = np.einsum("nij,nj->ni", fixed_T_moving[pose, :3, :3], surface.normals[::step][row])
+        alike = (normal * other.normals[index]).sum(axis=-1) > 0.7
+        pose, row, index = pose[alike], row[alike], index[alike]
+
+        def total(values: Array) -> Array:
+            return np.asarray(np.bincount(pose, values, len(points)), dtype=np.float64)
+
+        count = total(np.ones(len(pose)))
+        offset = points[pose, row] - other.points[index]
+        gap = np.abs((offset * other.normals[index]).sum(axis=-1))
+        difference = surface.colours[::step][row] - other.colours[index]
+        exposure = np.stack([total(channel) for channel in difference.T], axis=-1)
+        difference -= (exposure / np.maximum(count, 1)[:, None])[pose]
         return _Meeting(
-            count / max(shape[1], 1),
+            count / max(points.shape[1], 1),
             count,
-            (gap * found).sum(axis=-1),
-            (difference * found).sum(axis=-1),
+            total(gap),
+            total(np.abs(difference).mean(axis=-1) / 20.0),
         )
 
 
