@@ -100,8 +100,8 @@ class GlobalConfig:
     levelled_chance_agreement: float = 0.2
     """The same for candidates not from matched features of what was seen: those of levelled scans
     share their four yaws and the walls they fit."""
-    min_probability: float = 0.5
-    """Scans whose placement is less probable stay unplaced."""
+    min_probability: float = 0.4
+    """Scans whose placement is less probable stay unplaced (docs/method.md, section 6)."""
     restarts: int = 16
     """Seeded spanning trees from which the search starts."""
     registration: bool = True
