@@ -99,7 +99,8 @@ def test_joining_by_one_candidate_scores_its_posterior_odds() -> None:
     poses = room_poses(np.random.default_rng(0), 2)
     problem = build(2, linked(poses, {(0, 1): 0.8}), CONFIG)
     score = objective(problem, discrete.spanning_tree(problem, np.zeros(1)))
-    assert score == pytest.approx(np.log(0.8 / 0.2 + CONFIG.chance_agreement), abs=1e-9)
+    least = CONFIG.min_probability / (1.0 - CONFIG.min_probability)
+    assert score == pytest.approx(np.log((0.8 / 0.2 + CONFIG.chance_agreement) / least), abs=1e-9)
 
 
 def test_the_acceptance_threshold_moves_the_odds() -> None:
