@@ -139,7 +139,8 @@ class _Meeting:
         surface, other = moving.scan.surface, fixed.scan.surface
         step = max(1, len(surface.points) // MAX_POINTS)
         points = se3.transform(fixed_T_moving, surface.points[::step])
-        low, high = other.points.min(axis=0) - NEAR_M, other.points.max(axis=0) + NEAR_M
+        low = other.points.min(axis=0, initial=np.inf) - NEAR_M
+        high = other.points.max(axis=0, initial=-np.inf) + NEAR_M
         pose, row = np.nonzero(((points > low) & (points < high)).all(axis=-1))
         distance, index = fixed.tree.query(points[pose, row], distance_upper_bound=NEAR_M)
         near = np.isfinite(distance)
