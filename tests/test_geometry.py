@@ -6,8 +6,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scipy.spatial import cKDTree
 
 from fewview.geometry import camera, se3
+from fewview.geometry.vicinity import Vicinity
 from fewview.types import Intrinsics
 
 tangents = hnp.arrays(np.float64, 6, elements=st.floats(-3.0, 3.0, width=32))
@@ -76,3 +78,17 @@ def test_resized_intrinsics_keep_the_viewing_rays() -> None:
     corner_full = (-0.5 - full.cx) / full.fx
     corner_half = (-0.5 - half.cx) / half.fx
     np.testing.assert_allclose(corner_half, corner_full)
+
+
+def test_no_point_near_a_surface_is_outside_its_vicinity() -> None:
+    rng = np.random.default_rng(0)
+    surface, distance = rng.uniform(-1.0, 1.0, (400, 3)), 0.08
+    points = np.concatenate([surface, rng.uniform(-1.5, 1.5, (20_000, 3))])
+    near = np.isfinite(cKDTree(surface).query(points, distance_upper_bound=distance)[0])
+    may_hold = Vicinity.of(surface, distance).may_hold(points)
+    assert near.sum() > 500 and not np.any(near & ~may_hold)
+    assert may_hold.mean() < 0.2
+
+
+def test_nothing_is_in_the_vicinity_of_nothing() -> None:
+    assert not Vicinity.of(np.empty((0, 3)), 0.08).may_hold(np.zeros((4, 3))).any()

@@ -34,8 +34,9 @@ SURE = 0.98
 CONFIRMED = 2.0
 """Log odds of a link, by what its scans see and foresee, below which they deny it."""
 
-STARTS = 4
-"""Trees from which the search starts."""
+TREES = 1
+"""Random trees from which the search starts, beside what the candidates have settled: of 121 sets
+of validation rooms, four end no better."""
 
 SWEEPS = 4
 """Times that all nodes and components may move, at most."""
@@ -88,7 +89,8 @@ class Arranging:
     def search(self, seed: int, count: int) -> list[Answer]:
         """The best ``count`` answers at most, best first, each saying something new."""
         rng = np.random.default_rng(seed)
-        found = [self._from_tree(rng, noise=start > 0) for start in range(STARTS)]
+        starts = [self.settled.copy(), *(self._tree(rng) for _ in range(TREES))]
+        found = [self._polished(start, rng) for start in starts]
         found.sort(key=lambda one: -one.score)
         found += self._neighbours(found[0])
         kept: list[Answer] = []
@@ -134,10 +136,15 @@ class Arranging:
                     rigid = rigid & (side[:, None] == side)
         return rigid
 
-    def _from_tree(self, rng: np.random.Generator, noise: bool) -> Answer:
+    def _tree(self, rng: np.random.Generator) -> State:
+        """A spanning forest of the nodes by strong candidates, at random."""
         state = State(self.settled.pose.copy(), np.argmax(self.rigid, axis=1))
         key = np.log(self.problem.evidence)
-        grown(self.problem, state, key + rng.gumbel(size=len(key)) if noise else key)
+        grown(self.problem, state, key + rng.gumbel(size=len(key)))
+        return state
+
+    def _polished(self, state: State, rng: np.random.Generator) -> Answer:
+        """Move nodes and components until nothing improves."""
         for _ in range(SWEEPS):
             moved = [self._improve(state, node) for node in rng.permutation(self.nodes)]
             whole = state.component == np.unique(state.component)[:, None]

@@ -17,7 +17,7 @@ not stand.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -30,6 +30,11 @@ from fewview.types import Array, BoolArray, IntArray, PoseCandidate
 SAME_RAD = np.radians(15.0)
 SAME_M = 0.3
 """Places of a block closer than both are one place."""
+
+BEHIND = 15.0
+"""A place that falls so far behind the best of its component, or behind none, is given up before
+all pairs are asked: of 270 places of 20 real scans that ended within 5, none was ever behind by
+more than 6."""
 
 MOST = 10
 """Different places in one component that candidates may propose, the strongest ones."""
@@ -60,7 +65,8 @@ class Places:
 
     Attributes:
         stay: log odds of its present place; 0 when it is alone there, -inf when a veto forbids it.
-        score: (a,) log odds of the other places, no two of them the same.
+        score: (a,) log odds of the other places, no two of them the same; hopeless ones are left
+            out.
         motion: (a, 4, 4) that carries the block there.
         component: (a,) label of the frame it enters.
     """
@@ -88,6 +94,11 @@ class Created:
     poses: Array
     votes: Array
 
+    def among(self, places: BoolArray) -> Created:
+        """The same at some of all (a,) places alone."""
+        kept = places[self.here]
+        return replace(self, here=self.here[kept], poses=self.poses[kept], votes=self.votes[kept])
+
 
 def places(
     problem: Problem,
@@ -108,9 +119,15 @@ def places(
     home = int(state.component[block][0])
     motions, frames = proposed(problem, state, block, potentials)
     score: Array = np.full(len(motions), potentials.join)
-    for pair in created(problem, state, block, motions, frames, asked):
+    for everywhere in created(problem, state, block, motions, frames, asked):
+        pair = everywhere.among(score > -np.inf)
+        if not len(pair.here):
+            continue
         score[pair.here] += potentials.potential(pair.source, pair.target, pair.poses, pair.votes)
         score[pair.here[_vetoed(problem, pair)]] = -np.inf
+        behind = score < max(0.0, score[pair.here].max(initial=0.0)) - BEHIND
+        behind[0] = False
+        score[pair.here[behind[pair.here]]] = -np.inf
     alone = not np.any((state.component == home) & ~block)
     others = 1 + np.flatnonzero(score[1:] > -np.inf)
     stay = 0.0 if alone else float(score[0])

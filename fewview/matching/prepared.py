@@ -9,11 +9,14 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from fewview.alignment import Alignment, Embedded, draw, embed
+from fewview.geometry.vicinity import Vicinity
 from fewview.matching.heights import height_profile
 from fewview.matching.manhattan import TopDown, top_down
 from fewview.types import Array, BoolArray, CompletedScan, FloatArray
 
 UPRIGHT_COS = 0.5
+NEAR_M = 0.08
+"""Points of two surfaces that are no further apart meet."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +25,7 @@ class PreparedScan:
 
     Attributes:
         scan: the scan.
-        tree: k-d tree of its surface points.
+        tree: k-d tree of its surface points; vicinity: where points meet them.
         sample: (n, 3) even selection of the surface points.
         sample_upright: (n,) which of these lie on upright faces.
         depth_min, depth_max: (h, w) smallest and largest valid depth in 3 x 3 pixels, 0 unknown.
@@ -33,6 +36,7 @@ class PreparedScan:
 
     scan: CompletedScan
     tree: cKDTree
+    vicinity: Vicinity
     sample: Array
     sample_upright: BoolArray
     depth_min: FloatArray
@@ -52,6 +56,7 @@ def prepare(scan: CompletedScan, sample: int = 1000) -> PreparedScan:
     return PreparedScan(
         scan=scan,
         tree=cKDTree(points),
+        vicinity=Vicinity.of(points, NEAR_M),
         sample=points[chosen],
         sample_upright=upright,
         depth_min=low,

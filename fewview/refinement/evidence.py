@@ -11,7 +11,7 @@ from fewview.alignment import Alignment
 from fewview.geometry import se3
 from fewview.geometry.camera import project
 from fewview.matching.consistency import CandidateMatches
-from fewview.matching.prepared import PreparedScan
+from fewview.matching.prepared import NEAR_M, PreparedScan
 from fewview.refinement.room_evidence import room_evidence
 from fewview.refinement.support import Support
 from fewview.types import (
@@ -22,7 +22,6 @@ from fewview.types import (
     Levelling,
 )
 
-NEAR_M = 0.08
 MAX_POINTS = 1200
 VISIBLE_TOLERANCE_M = 0.05
 VISIBLE_TOLERANCE_RELATIVE = 0.02
@@ -139,9 +138,7 @@ class _Meeting:
         surface, other = moving.scan.surface, fixed.scan.surface
         step = max(1, len(surface.points) // MAX_POINTS)
         points = se3.transform(fixed_T_moving, surface.points[::step])
-        low = other.points.min(axis=0, initial=np.inf) - NEAR_M
-        high = other.points.max(axis=0, initial=-np.inf) + NEAR_M
-        pose, row = np.nonzero(((points > low) & (points < high)).all(axis=-1))
+        pose, row = np.nonzero(fixed.vicinity.may_hold(points))
         distance, index = fixed.tree.query(points[pose, row], distance_upper_bound=NEAR_M)
         near = np.isfinite(distance)
         pose, row, index = pose[near], row[near], index[near]
