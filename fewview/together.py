@@ -38,6 +38,9 @@ VOTES = "votes"
 PROPOSED = 6
 """Places that the aligner proposes for a group of scans over another."""
 
+LEAST = -9.0
+"""Log probability of a place below which the aligner says no more."""
+
 LOOSE = np.diag([np.radians(5.0) ** 2] * 3 + [0.15**2] * 3)
 """Covariance of a place that no pair has refined."""
 
@@ -52,10 +55,14 @@ class PotentialModel:
     Attributes:
         pair: gives the potential of a pair from its quantities.
         join: log odds of standing with others at all, before anything is known.
+        drawn: what the log probability counts that the aligner gives to a place of scans drawn as
+            one; typical: where it says nothing.
     """
 
     pair: ProbabilityModel
     join: float
+    drawn: float
+    typical: float
 
 
 @cache
@@ -67,9 +74,8 @@ def shipped_potential() -> PotentialModel:
 
 def potential_from(values: Mapping[str, object]) -> PotentialModel:
     """Build a model from the stored JSON."""
-    join = values["join"]
-    assert isinstance(join, int | float)
-    return PotentialModel(from_dict(values), float(join))
+    rest = [values[name] for name in ("join", "drawn", "typical")]
+    return PotentialModel(from_dict(values), *(float(str(value)) for value in rest))
 
 
 class Together:
@@ -106,21 +112,21 @@ class Together:
         rows[:, self._model.pair.features.index(VOTES)] = votes
         return self._model.pair.logits_of(self._model.pair.standard(rows))
 
-    def proposals(self, moving: Mapping[int, Array], fixed: Mapping[int, Array]) -> Array:
-        """(P, 4, 4) motions that lay scans over others, each group drawn as one.
+    def overlay(self, moving: Mapping[int, Array], fixed: Mapping[int, Array]) -> Overlay:
+        """Two groups of scans, each drawn as one.
 
         Args:
             moving, fixed: (4, 4) poses by scan index, each group in a frame of its own.
-
-        Returns:
-            motions from the frame of ``moving`` into that of ``fixed``, the likeliest first.
         """
         source, target = min(moving), min(fixed)
-        above = Alignment(self._drawn(moving, source), self._drawn(fixed, target))
-        s, t = self._scan(source), self._scan(target)
-        height = lift(s.scan, t.scan, s.heights, t.heights)
-        found = [lifted(pose, t.scan, height) for pose in above.best(PROPOSED).target_T_source]
-        return np.asarray(fixed[target] @ np.stack(found) @ se3.inverse(moving[source]))
+        return Overlay(
+            Alignment(self._drawn(moving, source), self._drawn(fixed, target)),
+            self._scan(source),
+            self._scan(target),
+            moving[source],
+            fixed[target],
+            self._model if len(moving) + len(fixed) > 2 else None,
+        )
 
     def candidate(
         self, source: int, target: int, pose: Array, rank: int, probability: float
@@ -177,6 +183,45 @@ class Together:
             assert found is not None
             self._alignments[source, target] = found
         return self._alignments[source, target]
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """Two groups of scans, each drawn as one and laid over the other.
+
+    Attributes:
+        above: the probability of the places of one drawing over the other.
+        source, target: the scan of each group on whose grid it is drawn.
+        moving_T_source, fixed_T_target: (4, 4) where these stand in the frames of the groups.
+        model: weighs what is above; None for two scans, whose potential holds it already.
+    """
+
+    above: Alignment
+    source: PreparedScan
+    target: PreparedScan
+    moving_T_source: Array
+    fixed_T_target: Array
+    model: PotentialModel | None
+
+    def proposals(self) -> Array:
+        """(P, 4, 4) motions fixed_T_moving, the likeliest first."""
+        source, target = self.source, self.target
+        height = lift(source.scan, target.scan, source.heights, target.heights)
+        found = [
+            lifted(pose, target.scan, height) for pose in self.above.best(PROPOSED).target_T_source
+        ]
+        return np.asarray(self.fixed_T_target @ np.stack(found) @ se3.inverse(self.moving_T_source))
+
+    def log_odds(self, motions: Array) -> Array:
+        """(K,) what the drawings add to the log odds of (K, 4, 4) motions fixed_T_moving."""
+        if self.model is None:
+            return np.zeros(len(motions))
+        return self.model.drawn * (self.log_mass(motions) - self.model.typical)
+
+    def log_mass(self, motions: Array) -> Array:
+        """(K,) log probability around (K, 4, 4) motions fixed_T_moving, `LEAST` at the least."""
+        target_T_source = se3.inverse(self.fixed_T_target) @ motions @ self.moving_T_source
+        return np.maximum(self.above.log_mass(target_T_source), LEAST)
 
 
 def pair_quantities(

@@ -16,6 +16,23 @@ SAME_RAD, SAME_M = np.radians(5.0), 0.1
 MOST_VOTES = 10.0
 
 
+@dataclass(frozen=True)
+class PlantedOverlay:
+    """Proposals, and what is added to the log odds of all motions that are one of them."""
+
+    motions: Array
+    drawn: float
+
+    def proposals(self) -> Array:
+        """As planted."""
+        return self.motions
+
+    def log_odds(self, motions: Array) -> Array:
+        """``drawn`` for proposals, else nothing."""
+        turn, shift = se3.distance(motions[:, None], self.motions)
+        return self.drawn * ((turn < SAME_RAD) & (shift < SAME_M)).any(axis=1)
+
+
 @dataclass
 class Planted:
     """Two scans speak for a few ways of standing to each other and against all others.
@@ -28,6 +45,7 @@ class Planted:
         elsewhere: potential of any other relative pose.
         join: log odds of a join.
         asked: every pair that was asked, as often as it was.
+        drawn: what scans drawn as one add to the log odds of the places that they propose.
     """
 
     places: Sequence[Array]
@@ -35,6 +53,7 @@ class Planted:
     elsewhere: float = -3.0
     join: float = -1.0
     asked: list[tuple[int, int]] = field(default_factory=list)
+    drawn: float = 0.0
 
     def potential(self, source: int, target: int, poses: Array, votes: Array) -> Array:
         """What is said of the way at which a pose is, and votes, of which more count no more."""
@@ -46,7 +65,7 @@ class Planted:
         here = np.where(near.any(axis=1), said, self.elsewhere)
         return np.asarray(here + np.minimum(votes, MOST_VOTES))
 
-    def proposals(self, moving: Mapping[int, Array], fixed: Mapping[int, Array]) -> Array:
+    def overlay(self, moving: Mapping[int, Array], fixed: Mapping[int, Array]) -> PlantedOverlay:
         """Every motion that brings a scan of one group to one of the ways to one of the other, the
         true ones last."""
         found = [
@@ -54,7 +73,7 @@ class Planted:
             for i, j in itertools.product(moving, fixed)
             for way in self._ways(i, j).reshape(-1, 4, 4)
         ]
-        return np.stack(found[::-1])
+        return PlantedOverlay(np.stack(found[::-1]), self.drawn)
 
     def candidate(
         self, source: int, target: int, pose: Array, rank: int, probability: float

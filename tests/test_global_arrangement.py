@@ -116,6 +116,19 @@ def test_the_present_place_comes_first_and_no_two_are_the_same() -> None:
     assert np.sum((other[0] < 1e-6) & (other[1] < 1e-6)) == 1
 
 
+def test_what_is_drawn_as_one_is_heard() -> None:
+    placed = places_of(6, 4)
+    problem = problem_of(placed, linked(placed, core(3)))
+    state, block = standing(placed, [0, 0, 0, 3]), only(3, of=4)
+    silent = places(problem, state, block, Planted(placed))
+    heard = places(problem, state, block, Planted(placed, drawn=2.5))
+    at_truth = [se3.distance(one.motion, np.eye(4))[1].argmin() for one in (silent, heard)]
+    assert heard.score[at_truth[1]] == pytest.approx(silent.score[at_truth[0]] + 2.5)
+    state.component[3] = 0
+    there = places(problem, state, block, Planted(placed, drawn=2.5))
+    assert there.stay == pytest.approx(heard.score[at_truth[1]])
+
+
 def test_hopeless_places_are_given_up_and_no_others(monkeypatch: pytest.MonkeyPatch) -> None:
     placed = places_of(5, 7)
     problem = problem_of(placed, linked(placed, core(6)))

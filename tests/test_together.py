@@ -18,6 +18,7 @@ from fewview.geometry import se3
 from fewview.matching.prepared import PreparedScan, aligned, prepare
 from fewview.probability import ProbabilityModel
 from fewview.together import (
+    LEAST,
     PROPOSED,
     VOTES,
     PotentialModel,
@@ -112,7 +113,7 @@ def weighing(features: tuple[str, ...] = FEATURES, weights: Array = WEIGHTS) -> 
     d = len(features)
     nothing = np.zeros((0, d)), np.zeros(0), np.zeros(0)
     pair = ProbabilityModel(features, np.zeros(d), np.ones(d), weights, 0.25, *nothing)
-    return PotentialModel(pair, join=-3.0)
+    return PotentialModel(pair, join=-3.0, drawn=0.5, typical=-4.0)
 
 
 @pytest.fixture
@@ -202,7 +203,7 @@ def test_the_true_motion_is_proposed_among_others(
     fresh: Callable[[], Together], truth: Array, source: int, target: int
 ) -> None:
     frame = {i: truth[i] for i in range(4)}
-    found = fresh().proposals({source: frame[source]}, {target: frame[target]})
+    found = fresh().overlay({source: frame[source]}, {target: frame[target]}).proposals()
     assert found.shape == (PROPOSED, 4, 4)
     turn, shift = errors(found @ truth[source], truth[source])
     assert ((turn < 1.0) & (shift < 0.3)).any()
@@ -215,12 +216,12 @@ def test_groups_are_laid_over_groups_whatever_their_frames(
     fresh: Callable[[], Together], truth: Array, moving: tuple[int, ...], fixed: tuple[int, ...]
 ) -> None:
     one, other = ({i: truth[i] for i in group} for group in (moving, fixed))
-    found = fresh().proposals(one, other)
+    found = fresh().overlay(one, other).proposals()
     turn, shift = errors(found @ truth[moving[0]], truth[moving[0]])
     assert ((turn < 1.0) & (shift < 0.3)).any()
     a = se3.exp(np.array([0.4, -0.2, 1.0, 3.0, 1.0, -2.0]))
     b = se3.exp(np.array([-0.3, 0.6, -2.0, 0.0, 5.0, 1.0]))
-    moved = fresh().proposals(in_frame(a, one), in_frame(b, other))
+    moved = fresh().overlay(in_frame(a, one), in_frame(b, other)).proposals()
     np.testing.assert_allclose(moved, b @ found @ se3.inverse(a), atol=1e-3)
 
 
@@ -232,10 +233,31 @@ def test_a_group_is_drawn_as_its_scans_stand(fresh: Callable[[], Together], trut
     """Apart, the scans show a larger room than together."""
     off = se3.pose(np.eye(3), np.array([1.5, 0.0, 0.0])) @ truth[3]
     groups = ({1: truth[1]}, {1: truth[1], 3: truth[3]}, {1: truth[1], 3: off})
-    alone, beside, apart = (fresh().proposals({0: truth[0]}, group) for group in groups)
+    alone, beside, apart = (fresh().overlay({0: truth[0]}, g).proposals() for g in groups)
     assert np.abs(alone - beside).max() > 1e-3
     best = [errors(found @ truth[0], truth[0])[1].min() for found in (beside, apart)]
     assert best[0] < best[1]
+
+
+def test_what_is_drawn_speaks_for_its_proposals(
+    fresh: Callable[[], Together], truth: Array
+) -> None:
+    overlay = fresh().overlay({0: truth[0]}, {i: truth[i] for i in (1, 2, 3)})
+    far = se3.pose(np.eye(3), np.array([2.0, -1.5, 0.0]))
+    motions = np.stack([np.eye(4), far, overlay.proposals()[0]])
+    found = overlay.log_odds(motions)
+    np.testing.assert_allclose(found, 0.5 * (overlay.log_mass(motions) + 4.0))
+    assert found[2] > 0.0 and found[2] >= found[0] > found[1] >= 0.5 * (LEAST + 4.0)
+    a, b = (se3.exp(np.array([0.4, -0.2, s, 3.0, s, -2.0])) for s in (1.0, -2.0))
+    moved = fresh().overlay({0: a @ truth[0]}, {i: b @ truth[i] for i in (1, 2, 3)})
+    np.testing.assert_allclose(moved.log_odds(b @ motions @ se3.inverse(a)), found, atol=1e-2)
+
+
+def test_two_scans_say_everything_in_their_potential(
+    fresh: Callable[[], Together], truth: Array
+) -> None:
+    overlay = fresh().overlay({0: truth[0]}, {1: truth[1]})
+    np.testing.assert_array_equal(overlay.log_odds(overlay.proposals()), 0.0)
 
 
 # Candidates
@@ -271,9 +293,11 @@ def test_a_model_is_read_from_what_is_stored() -> None:
         "outer": [2.0],
         "intercept": -0.5,
         "join": -4,
+        "drawn": 0.5,
+        "typical": -3,
     }
     model = potential_from(stored)
-    assert model.join == -4.0
+    assert (model.join, model.drawn, model.typical) == (-4.0, 0.5, -3.0)
     [found] = model.pair.logits_of(model.pair.standard(np.array([[3.0, 0.75]])))
     assert found == pytest.approx(0.5 + 1.0 - 0.5 + 2.0 * np.tanh(1.0))
 
@@ -285,7 +309,7 @@ def test_the_shipped_potential_weighs_what_is_measured(
     made = json.loads(text)["made"]
     assert made["by"] == "scripts/fit_potential.py"
     model = shipped_potential()
-    assert model.join < 0.0 and (model.pair.scale > 0).all()
+    assert model.join < 0.0 < model.drawn and (model.pair.scale > 0).all()
     alignment = aligned(scans[0], scans[1])
     assert alignment is not None
     found = pair_quantities(scans[0], scans[1], around(truth, 0, 1), alignment)

@@ -3,11 +3,11 @@
 The search over candidates (`discrete`) settles most scans of most sets. Scans that stand with less
 certainty than `SURE` are taken up again, each for itself; the sure ones of a component stay one
 rigid node, unless what its scans see and foresee denies a link that holds it together: candidates
-of surfaces that look alike agree with each other where all are wrong. From several seeded trees,
-nodes and components move to the best of their `places` until nothing improves S' of that module.
-Then every node, and every block on one side of a weak link, stands right with its share of the odds
-of all its places, "elsewhere" among them; a scan is right relative to another when every block that
-separates the two is, as in `belief`.
+of surfaces that look alike agree with each other where all are wrong. From what the candidates have
+settled and from a seeded tree, nodes and components move to the best of their `places` until
+nothing improves S' of that module. Then every node, and every block on one side of a weak link,
+stands right with its share of the odds of all its places, "elsewhere" among them; a scan is right
+relative to another when every block that separates the two is, as in `belief`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ TREES = 1
 """Random trees from which the search starts, beside what the candidates have settled: of 121 sets
 of validation rooms, four end no better."""
 
-SWEEPS = 4
+SWEEPS = 6
 """Times that all nodes and components may move, at most."""
 
 RIGID = 1e6
@@ -144,12 +144,13 @@ class Arranging:
         return state
 
     def _polished(self, state: State, rng: np.random.Generator) -> Answer:
-        """Move nodes and components until nothing improves."""
+        """Move nodes and components, and where these stand, sides of weak links, until nothing
+        improves."""
         for _ in range(SWEEPS):
             moved = [self._improve(state, node) for node in rng.permutation(self.nodes)]
             whole = state.component == np.unique(state.component)[:, None]
             moved += [self._improve(state, block) for block in whole]
-            if not any(moved):
+            if not any(moved) and not any(self._improve(state, b) for b in self._blocks(state)):
                 break
         return Answer(state, self._score(state))
 

@@ -10,8 +10,8 @@ The log posterior of an arrangement relative to "nothing is joined" then is
 with the learned potential phi of the relative pose, in which the votes log(1 + sum r a) of the
 pair's candidates are one quantity among others, and the log odds b of a join. Beside the places
 that candidates propose there are those where the aligner lays a block, drawn as one, over all other
-scans of a component, drawn as one. No place brings a pair back to where the user says that it does
-not stand.
+scans of a component, drawn as one; what it says of a place, whoever proposed it, is added to the
+log odds of the place. No place brings a pair back to where the user says that it does not stand.
 """
 
 from __future__ import annotations
@@ -40,6 +40,16 @@ MOST = 10
 """Different places in one component that candidates may propose, the strongest ones."""
 
 
+class Overlays(Protocol):
+    """What `fewview.together.Overlay` answers."""
+
+    def proposals(self) -> Array:
+        """(P, 4, 4) motions of the one group over the other, likeliest first."""
+
+    def log_odds(self, motions: Array) -> Array:
+        """(K,) what the drawings add to the log odds of (K, 4, 4) motions."""
+
+
 class Potentials(Protocol):
     """What `fewview.together.Together` answers."""
 
@@ -50,8 +60,8 @@ class Potentials(Protocol):
     def potential(self, source: int, target: int, poses: Array, gain: Array) -> Array:
         """(K,) phi of (K, 4, 4) poses target_T_source with (K,) votes of the candidates."""
 
-    def proposals(self, moving: Mapping[int, Array], fixed: Mapping[int, Array]) -> Array:
-        """(P, 4, 4) motions of the scans ``moving`` over the scans ``fixed``, likeliest first."""
+    def overlay(self, moving: Mapping[int, Array], fixed: Mapping[int, Array]) -> Overlays:
+        """The scans ``moving``, drawn as one, over the scans ``fixed``, drawn as one."""
 
     def candidate(
         self, source: int, target: int, pose: Array, rank: int, probability: float
@@ -117,8 +127,12 @@ def places(
         asked: (n, n) pairs of scans that have a say; all when not given.
     """
     home = int(state.component[block][0])
-    motions, frames = proposed(problem, state, block, potentials)
+    overlays = overlaid(state, block, potentials)
+    motions, frames = proposed(problem, state, block, overlays)
     score: Array = np.full(len(motions), potentials.join)
+    for label, overlay in overlays.items():
+        here = frames == label
+        score[here] += overlay.log_odds(motions[here])
     for everywhere in created(problem, state, block, motions, frames, asked):
         pair = everywhere.among(score > -np.inf)
         if not len(pair.here):
@@ -134,26 +148,34 @@ def places(
     return Places(stay, score[others], motions[others], frames[others])
 
 
+def overlaid(state: State, block: BoolArray, potentials: Potentials) -> dict[int, Overlays]:
+    """A block over all other scans of each component, by the component's label."""
+    moving = {int(i): state.pose[i] for i in np.flatnonzero(block)}
+    out = {}
+    for label in np.unique(state.component[~block]).tolist():
+        members = np.flatnonzero((state.component == label) & ~block).tolist()
+        out[label] = potentials.overlay(moving, {j: state.pose[j] for j in members})
+    return out
+
+
 def proposed(
-    problem: Problem, state: State, block: BoolArray, potentials: Potentials
+    problem: Problem, state: State, block: BoolArray, overlays: Mapping[int, Overlays]
 ) -> tuple[Array, IntArray]:
     """(a, 4, 4) motions of a block and the (a,) frames that they lead to, the present place first,
     then of each component what the strongest candidates and the aligner propose; all different."""
     crossing = Crossing.of(problem, state, block)
-    moving = {int(i): state.pose[i] for i in np.flatnonzero(block)}
     frame = state.component[crossing.fixed]
     order = np.argsort(-problem.evidence[crossing.candidates], kind="stable")
     found, labels = [np.eye(4)[None]], [int(state.component[block][0])]
-    for label in np.unique(state.component[~block]):
+    for label, overlay in overlays.items():
         own = order[frame[order] == label]
         agree = crossing.agreement(problem, state, crossing.implied[own], frame[own])
         votes = pair_gains(problem, crossing.candidates, agree).sum(axis=1)
         ranked = crossing.implied[own][np.argsort(-votes, kind="stable")]
         strongest = ranked[_different(state, block, ranked, np.full(len(ranked), label))[:MOST]]
-        members = np.flatnonzero((state.component == label) & ~block)
-        above = potentials.proposals(moving, {int(j): state.pose[j] for j in members})
+        above = overlay.proposals()
         found += [strongest, above]
-        labels += [int(label)] * (len(strongest) + len(above))
+        labels += [label] * (len(strongest) + len(above))
     motions, frames = np.concatenate(found), np.array(labels, dtype=np.int64)
     kept = _different(state, block, motions, frames)
     return motions[kept], frames[kept]
