@@ -38,6 +38,10 @@ VOTES = "votes"
 PROPOSED = 6
 """Places that the aligner proposes for a group of scans over another."""
 
+MOST_DRAWN = 5
+"""Scans of both groups up to which drawings count: they were weighed on sets of five, and of ten
+they say too much."""
+
 LEAST = -9.0
 """Log probability of a place below which the aligner says no more."""
 
@@ -125,7 +129,7 @@ class Together:
             self._scan(target),
             moving[source],
             fixed[target],
-            self._model if len(moving) + len(fixed) > 2 else None,
+            self._model if 2 < len(moving) + len(fixed) <= MOST_DRAWN else None,
         )
 
     def candidate(
@@ -193,7 +197,8 @@ class Overlay:
         above: the probability of the places of one drawing over the other.
         source, target: the scan of each group on whose grid it is drawn.
         moving_T_source, fixed_T_target: (4, 4) where these stand in the frames of the groups.
-        model: weighs what is above; None for two scans, whose potential holds it already.
+        model: weighs what is above; None for two scans, whose potential holds it already, and for
+            more than `MOST_DRAWN`.
     """
 
     above: Alignment

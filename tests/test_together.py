@@ -253,10 +253,13 @@ def test_what_is_drawn_speaks_for_its_proposals(
     np.testing.assert_allclose(moved.log_odds(b @ motions @ se3.inverse(a)), found, atol=1e-2)
 
 
-def test_two_scans_say_everything_in_their_potential(
-    fresh: Callable[[], Together], truth: Array
+def test_drawings_of_two_scans_and_of_many_add_nothing(
+    fresh: Callable[[], Together], truth: Array, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     overlay = fresh().overlay({0: truth[0]}, {1: truth[1]})
+    np.testing.assert_array_equal(overlay.log_odds(overlay.proposals()), 0.0)
+    monkeypatch.setattr("fewview.together.MOST_DRAWN", 3)
+    overlay = fresh().overlay({0: truth[0]}, {i: truth[i] for i in (1, 2, 3)})
     np.testing.assert_array_equal(overlay.log_odds(overlay.proposals()), 0.0)
 
 
