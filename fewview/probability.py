@@ -88,7 +88,12 @@ def from_dict(values: Mapping[str, object]) -> ProbabilityModel:
     """Build a model from the stored JSON."""
     names = values["features"]
     assert isinstance(names, list)
-    intercept = values["intercept"]
-    assert isinstance(intercept, int | float)
     arrays = {name: np.array(values[name], dtype=np.float64) for name in ARRAYS}
-    return ProbabilityModel(features=tuple(names), intercept=float(intercept), **arrays)
+    return ProbabilityModel(features=tuple(names), intercept=number(values, "intercept"), **arrays)
+
+
+def number(values: Mapping[str, object], name: str) -> float:
+    """A number of the stored JSON."""
+    value = values[name]
+    assert isinstance(value, int | float)
+    return float(value)

@@ -22,7 +22,7 @@ from fewview.alignment import Alignment, Embedded, embed, joint_drawing
 from fewview.geometry import se3
 from fewview.matching.heights import lift, lifted
 from fewview.matching.prepared import PreparedScan, aligned
-from fewview.probability import ProbabilityModel, from_dict
+from fewview.probability import ProbabilityModel, from_dict, number
 from fewview.refinement.evidence import (
     gravity_disagreement,
     surface_agreement,
@@ -78,8 +78,8 @@ def shipped_potential() -> PotentialModel:
 
 def potential_from(values: Mapping[str, object]) -> PotentialModel:
     """Build a model from the stored JSON."""
-    rest = [values[name] for name in ("join", "drawn", "typical")]
-    return PotentialModel(from_dict(values), *(float(str(value)) for value in rest))
+    join, drawn, typical = (number(values, name) for name in ("join", "drawn", "typical"))
+    return PotentialModel(from_dict(values), join, drawn, typical)
 
 
 class Together:

@@ -24,7 +24,7 @@ from pathlib import Path
 
 from fewview import weights
 from fewview.config import Config
-from fewview.together import PotentialModel, shipped_potential
+from fewview.together import PotentialModel, potential_from
 from potential.fit import HIDDEN, HIDDEN_RIDGE, RIDGE, fitted, with_drawings
 from potential.report import Json, held_out, told
 from potential.samples import RIGHT_DEG, RIGHT_M, cached
@@ -46,8 +46,9 @@ def main() -> None:
     options = parser.parse_args()
     options.cache.mkdir(parents=True, exist_ok=True)
     if options.drawn_alone:
-        made = json.loads(options.out.read_text())["made"]
-        model, report = shipped_potential(), made["report"]
+        values = json.loads(options.out.read_text())
+        model, made = potential_from(values), values["made"]
+        report = made["report"]
     else:
         model, report = potentials(options)
         made = recipe(options)

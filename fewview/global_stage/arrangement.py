@@ -144,7 +144,7 @@ class Arranging:
         return state
 
     def _polished(self, state: State, rng: np.random.Generator) -> Answer:
-        """Move nodes and components, and where these stand, sides of weak links, until nothing
+        """Move nodes and components, and when these rest, sides of weak links, until nothing
         improves."""
         for _ in range(SWEEPS):
             moved = [self._improve(state, node) for node in rng.permutation(self.nodes)]

@@ -139,9 +139,9 @@ def places(
             continue
         score[pair.here] += potentials.potential(pair.source, pair.target, pair.poses, pair.votes)
         score[pair.here[_vetoed(problem, pair)]] = -np.inf
-        behind = score < max(0.0, score[pair.here].max(initial=0.0)) - BEHIND
-        behind[0] = False
-        score[pair.here[behind[pair.here]]] = -np.inf
+        best = score[pair.here].max(initial=0.0)
+        behind = pair.here[score[pair.here] < best - BEHIND]
+        score[behind[behind > 0]] = -np.inf
     alone = not np.any((state.component == home) & ~block)
     others = 1 + np.flatnonzero(score[1:] > -np.inf)
     stay = 0.0 if alone else float(score[0])

@@ -64,10 +64,10 @@ NOTHING = PotentialModel(
         outer=np.zeros(0),
     ),
     join=0.0,
-    drawn=0.0,
+    drawn=1.0,
     typical=0.0,
 )
-"""Stands in where places are only proposed, not judged."""
+"""Stands in where places are only proposed, not judged: its drawings say the log probability."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,8 @@ class Sample:
         scene: where; kind: of set, and how many scans stand beside how many.
         quantities: (m, K, d) of the m pairs that each of K places creates.
         turns_deg, shifts_m: (K,) how far each place is from the true one.
-        drawn: (K,) log probability that the aligner gives to each place of scans drawn as one.
+        drawn: (K,) log probability that the aligner gives to each place of scans drawn as one; 0
+            where there are only two.
     """
 
     scene: str
@@ -105,20 +106,16 @@ def cached(cache: Path, name: str, make: Callable[[], Matched]) -> list[Sample]:
     if not path.is_file():
         samples = list(samples_of(name, make()))
         arrays = {
-            f"{k}/{sample.kind}/{name}": getattr(sample, name)
+            f"{k}/{sample.kind}/{part}": getattr(sample, part)
             for k, sample in enumerate(samples)
-            for name in PARTS
+            for part in PARTS
         }
         np.savez(path, **arrays)
         print(f"{name}: {len(samples)} samples", flush=True)
     with np.load(path) as kept:
         heads = dict.fromkeys(name.rpartition("/")[0] for name in kept.files)
         return [
-            Sample(
-                name,
-                head.split("/")[1],
-                *(kept[f"{head}/{part}"] for part in PARTS),
-            )
+            Sample(name, head.split("/")[1], *(kept[f"{head}/{part}"] for part in PARTS))
             for head in heads
         ]
 
@@ -164,6 +161,7 @@ def sample_of(
     state = State(scene.poses[members], block.astype(np.int64))
     together = Together(lambda k: scene.scans[members[k]], NOTHING)
     overlays = overlaid(state, block, together)
+    [drawn] = overlays.values()
     motions, frames = proposed(problem, state, block, overlays)
     motions, frames = motions[1:], frames[1:]
     asked = []
@@ -181,9 +179,5 @@ def sample_of(
         np.stack(asked),
         np.where(guest, 180.0, np.degrees(turn)),
         np.where(guest, np.inf, shift),
-        together.overlay(*(_poses(state, part) for part in (block, ~block))).log_mass(motions),
+        drawn.log_odds(motions),
     )
-
-
-def _poses(state: State, part: BoolArray) -> dict[int, Array]:
-    return {int(i): state.pose[i] for i in np.flatnonzero(part)}
