@@ -244,6 +244,7 @@ def pair_quantities(
         "overlap": surface.overlap,
         "residual": surface.residual_m,
         "colour": surface.colour_gap,
+        "concordance": surface.concordance,
         "visible": np.log1p(visible.count),
         "on_surface": visible.on_surface,
         "violation": np.sqrt(visible.in_front),

@@ -3,7 +3,9 @@
     python scripts/fit_probability.py --scene FOLDER ... --check FOLDER ... [--observed]
 
 Validation scenes are generated rooms of the validation split and folders given with --scene;
-folders given with --check are never fitted to, they only show how the result carries over. With
+folders given with --check are never fitted to, they only show how the result carries over. Beside
+the views of a room there are guests for which no candidate is right: strangers from another room,
+and twins from the mirror image of this one. With
 --observed no network completes the scans, and the model for scans as seen is fitted. With --without
 NAME ... evidence is left out, to see what it is worth; write that one elsewhere with --out.
 """
@@ -27,16 +29,17 @@ from scipy.optimize import minimize
 from torch import Tensor, nn
 
 from fewview import scans as readers
-from fewview import synthetic, weights
+from fewview import weights
 from fewview.completion import OBSERVED_KINDS, complete
 from fewview.config import Config
 from fewview.evaluation.calibration import expected_calibration_error
 from fewview.executor import Executor
 from fewview.geometry import se3
-from fewview.matching.prepared import prepare
+from fewview.matching.prepared import PreparedScan, prepare
 from fewview.pairwise import weigh_pair
 from fewview.probability import ARRAYS, ProbabilityModel
 from fewview.types import Array, Frame
+from guests import strangers, twins, views
 
 RIGHT_DEG, RIGHT_M = 15.0, 0.3
 SEEN = (
@@ -49,6 +52,7 @@ SEEN = (
     "overlap",
     "residual",
     "colour",
+    "concordance",
     "visible",
     "on_surface",
     "violation",
@@ -66,6 +70,7 @@ SEEN = (
     "alone_violation",
     "alone_looseness",
     "alone_colour",
+    "alone_concordance",
     "alone_facing",
 )
 COMPLETED = (
@@ -86,6 +91,11 @@ COMPLETED = (
     "alone_inside",
     "alone_through",
 )
+GUESTS, BESIDE = 2, 3
+"""Guests of either kind, and how many views of the room each is matched with at most; a twin with
+the view that it mirrors too."""
+NOWHERE_M = 1000.0
+"""Guests stand this far from the room, so that every pose between them is wrong."""
 RIDGE, HIDDEN_RIDGE = 2.0, 10.0
 HIDDEN = 8
 START = 0.1
@@ -127,8 +137,12 @@ def main() -> None:
     config = observed(Config()) if options.observed else Config()
     cache = options.cache / kind
     cache.mkdir(parents=True, exist_ok=True)
-    rooms = [f"room-{i}" for i in range(options.rooms)]
-    fit = [p for r in rooms for p in cached(cache, r, lambda r=r: room(r, options.views, config))]
+    rooms = range(options.rooms)
+    fit = [
+        p
+        for i in rooms
+        for p in cached(cache, f"room-{i}", lambda i=i: room(i, rooms, options.views, config))
+    ]
     fit += [p for f in options.scene for p in cached(cache, f.name, lambda f=f: folder(f, config))]
     check = {f.name: cached(cache, f.name, lambda f=f: folder(f, config)) for f in options.check}
     names = SEEN if options.observed else SEEN + COMPLETED
@@ -160,39 +174,52 @@ def cached(cache: Path, name: str, make: Any) -> list[Pair]:
     return [Pair(**p) for p in json.loads(path.read_text())]
 
 
-def room(name: str, views: int, config: Config) -> Iterator[Pair]:
-    index = int(name.split("-")[1])
-    mode = "spread" if index % 2 else "random"
-    scene = synthetic.generate(synthetic.split_seed("validation", index), views, index, mode)
-    yield from pairs_of(name, list(scene.frames), [scene.poses[n] for n in scene.names], config)
+def room(index: int, rooms: range, count: int, config: Config) -> Iterator[Pair]:
+    """Views of a generated room in pairs, and guests beside some of them; strangers come from the
+    next of the rooms."""
+    frames, poses = views(index, count, "spread" if index % 2 else "random")
+    others = strangers([*rooms[index + 1 :], *rooms[:index]], GUESTS)
+    guests = [*others[0], *twins(frames[:GUESTS], poses[:GUESTS])[0]]
+    every = [*frames, *guests]
+    rng = np.random.default_rng(index)
+    pairs = list(itertools.combinations(range(count), 2))
+    for guest in range(count, len(every)):
+        beside = {guest % GUESTS, *rng.choice(count, BESIDE - 1, replace=False).tolist()}
+        pairs += [(view, guest) for view in sorted(beside)]
+    nowhere = se3.pose(np.eye(3), np.array([NOWHERE_M, 0.0, 0.0]))
+    where = np.concatenate([poses, np.tile(nowhere, (len(guests), 1, 1))])
+    yield from weighed(f"room-{index}", every, where, pairs, config)
 
 
 def folder(path: Path, config: Config, most: int = 24) -> Iterator[Pair]:
     found, truth = readers.load(path).scans, readers.truth(path)
     known = [s for s in found if s.name in truth]
     chosen = [known[i] for i in np.linspace(0, len(known) - 1, min(most, len(known))).astype(int)]
-    frames, poses = [s.load() for s in chosen], [truth[s.name] for s in chosen]
-    yield from pairs_of(path.name, frames, poses, config)
+    frames, poses = [s.load() for s in chosen], np.stack([truth[s.name] for s in chosen])
+    pairs = list(itertools.combinations(range(len(frames)), 2))
+    yield from weighed(path.name, frames, poses, pairs, config)
 
 
-def pairs_of(name: str, frames: list[Frame], poses: list[Array], config: Config) -> Iterator[Pair]:
+def weighed(
+    name: str, frames: list[Frame], poses: Array, pairs: list[tuple[int, int]], config: Config
+) -> Iterator[Pair]:
+    """Candidates of pairs of n frames with (n, 4, 4) true poses."""
     executor = Executor()
-    features = config.features
-    scans = list(
-        executor.map(
-            lambda i: prepare(complete(str(i), frames[i], 0, features, i)), range(len(frames))
-        )
-    )
+
+    def scan(i: int) -> PreparedScan:
+        return prepare(complete(str(i), frames[i], 0, config.features, i))
+
+    scans = list(executor.map(scan, range(len(frames))))
 
     def one(pair: tuple[int, int]) -> Pair:
         i, j = pair
-        weighed = weigh_pair(scans[i], scans[j], config)
+        found = weigh_pair(scans[i], scans[j], config)
         truth = se3.inverse(poses[j]) @ poses[i]
-        turn, shift = se3.distance(weighed.poses, truth)
-        evidence = [dict(e.features) for e in weighed.evidence]
+        turn, shift = se3.distance(found.poses, truth)
+        evidence = [dict(e.features) for e in found.evidence]
         return Pair(name, evidence, np.degrees(turn).tolist(), shift.tolist())
 
-    yield from executor.map(one, itertools.combinations(range(len(frames)), 2))
+    yield from executor.map(one, pairs)
 
 
 def fitted(pairs: list[Pair], names: tuple[str, ...]) -> ProbabilityModel:

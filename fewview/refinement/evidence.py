@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from fewview.alignment import Alignment
 from fewview.geometry import se3
@@ -26,6 +27,8 @@ MAX_POINTS = 1200
 VISIBLE_TOLERANCE_M = 0.05
 VISIBLE_TOLERANCE_RELATIVE = 0.02
 FEW_POINTS = 6.0
+COLOUR_NOISE = 30.0
+"""Variance of the colour of one place, seen twice, over the three channels of Lab."""
 PROPOSED_FROM_ABOVE = (
     CandidateOrigin.COMPLETION,
     CandidateOrigin.ALIGNMENT,
@@ -64,6 +67,7 @@ def gather(
         "overlap": surface.overlap,
         "residual": surface.residual_m,
         "colour": surface.colour_gap,
+        "concordance": surface.concordance,
         "visible": np.log1p(visible.count),
         "on_surface": visible.on_surface,
         "violation": np.sqrt(visible.in_front),
@@ -77,7 +81,7 @@ def gather(
         **{o.value: np.array([x is o for x in origins], dtype=float) for o in PROPOSED_FROM_ABOVE},
     }
     columns["raster"] = columns["manhattan"] * scores / 100.0
-    for name in ("overlap", "upright", "violation", "looseness", "colour", "facing"):
+    for name in ("overlap", "upright", "violation", "looseness", "colour", "concordance", "facing"):
         columns[f"alone_{name}"] = geometry_alone * columns[name]
     for name, values in room_evidence(source, target, poses, alignment).items():
         columns |= {name: values, f"alone_{name}": geometry_alone * values}
@@ -101,11 +105,16 @@ class SurfaceAgreement:
         overlap: (K,) share of the smaller surface with a neighbour within 0.08 m facing alike.
         residual_m: (K,) mean point-to-plane distance of these neighbours.
         colour_gap: (K,) their mean difference in Lab after equal exposure, in units of 20.
+        concordance: (K,) how far what is light, dark or coloured in one is so in the other: Lin's
+            coefficient of concordance of their colours after equal exposure, which noise brings to
+            0 where colours hardly vary. Surfaces of another place fit as well as the right ones
+            where both are flat; their pattern does not.
     """
 
     overlap: Array
     residual_m: Array
     colour_gap: Array
+    concordance: Array
 
 
 def surface_agreement(source: PreparedScan, target: PreparedScan, poses: Array) -> SurfaceAgreement:
@@ -115,23 +124,32 @@ def surface_agreement(source: PreparedScan, target: PreparedScan, poses: Array) 
     smaller = forward
     if len(target.scan.surface.points) < len(source.scan.surface.points):
         smaller = backward
-    count = forward.count + backward.count
-    total = np.maximum(count, 1)
-    residual = (forward.gap_sum + backward.gap_sum) / total
-    colour = (forward.colour_sum + backward.colour_sum) / total
+    sums = forward.sums + backward.sums
+    count = sums[:, _COUNT]
+    mean = sums / np.maximum(count, 1.0)[:, None]
     return SurfaceAgreement(
-        smaller.share, np.where(count > 0, residual, NEAR_M), np.where(count > 0, colour, 1.0)
+        smaller.share,
+        np.where(count > 0, mean[:, _GAP], NEAR_M),
+        np.where(count > 0, mean[:, _COLOUR], 1.0),
+        2.0 * mean[:, _PRODUCT] / (mean[:, _SQUARES] + 2.0 * COLOUR_NOISE),
     )
+
+
+_COUNT, _GAP, _COLOUR, _PRODUCT, _SQUARES = range(5)
 
 
 @dataclass(frozen=True)
 class _Meeting:
-    """Points of one surface that meet the other: (K,) share, count, summed gaps."""
+    """Points of one surface that meet the other.
+
+    Attributes:
+        share: (K,) of the sampled points.
+        sums: (K, 5) over these points: how many, distances from the other's planes, differences
+            of colour, products and squares of both colours about their means.
+    """
 
     share: Array
-    count: Array
-    gap_sum: Array
-    colour_sum: Array
+    sums: Array
 
     @staticmethod
     def of(moving: PreparedScan, fixed: PreparedScan, fixed_T_moving: Array) -> _Meeting:
@@ -145,22 +163,23 @@ class _Meeting:
         normal = np.einsum("nij,nj->ni", fixed_T_moving[pose, :3, :3], surface.normals[::step][row])
         alike = (normal * other.normals[index]).sum(axis=-1) > 0.7
         pose, row, index = pose[alike], row[alike], index[alike]
+        begin = np.searchsorted(pose, np.arange(len(points) + 1))
+        of_pose = csr_array(
+            (np.ones(len(pose)), np.arange(len(pose)), begin), shape=(len(points), len(pose))
+        )
+        count = np.diff(begin)
 
-        def total(values: Array) -> Array:
-            return np.asarray(np.bincount(pose, values, len(points)), dtype=np.float64)
+        def centred(colours: Array) -> Array:
+            mean = (of_pose @ colours) / np.maximum(count, 1)[:, None]
+            return np.asarray(colours - mean[pose])
 
-        count = total(np.ones(len(pose)))
         offset = points[pose, row] - other.points[index]
         gap = np.abs((offset * other.normals[index]).sum(axis=-1))
-        difference = surface.colours[::step][row] - other.colours[index]
-        exposure = np.stack([total(channel) for channel in difference.T], axis=-1)
-        difference -= (exposure / np.maximum(count, 1)[:, None])[pose]
-        return _Meeting(
-            count / max(points.shape[1], 1),
-            count,
-            total(gap),
-            total(np.abs(difference).mean(axis=-1) / 20.0),
-        )
+        own, its = centred(surface.colours[::step][row]), centred(other.colours[index])
+        difference = np.abs(own - its).mean(axis=-1) / 20.0
+        product, squares = (own * its).sum(axis=-1), (own**2 + its**2).sum(axis=-1)
+        each = np.stack([np.ones(len(pose)), gap, difference, product, squares], axis=1)
+        return _Meeting(count / max(points.shape[1], 1), of_pose @ each)
 
 
 @dataclass(frozen=True)

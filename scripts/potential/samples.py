@@ -39,6 +39,7 @@ QUANTITIES = (
     "overlap",
     "residual",
     "colour",
+    "concordance",
     "met",
     "inside",
     "through",

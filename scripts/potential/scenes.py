@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from fewview import scans as readers
-from fewview import synthetic
 from fewview.completion import complete
 from fewview.config import Config
-from fewview.errors import FewviewError
 from fewview.evaluation.overlap import overlap_matrix
 from fewview.executor import Executor
 from fewview.geometry.camera import backproject
 from fewview.matching.prepared import PreparedScan, prepare
 from fewview.pairwise import match_pair
 from fewview.types import Array, Frame, PairResult
+from guests import Views, strangers, twins, views
 
 VIEWS, SIZE, MAX_OVERLAP = 16, 5, 0.1
 EXTREME_SETS, RANDOM_SETS = 2, 1
-GUESTS = 2
+GUESTS, ROOMS_ASKED = 2, 9
 SETS_OF_A_FOLDER, MOST_FRAMES = (6, 4), 24
 
 
@@ -56,34 +55,12 @@ class Matched:
 
 def room(index: int) -> Matched:
     """A generated room of the validation split, strangers from the next that has a place, twins."""
-    frames, poses = _views(index, VIEWS)
-    twins = _mirrored(frames[:GUESTS], poses[:GUESTS])
-    guests = {"strangers": _strangers(index + 1), "twins": twins}
+    frames, poses = views(index, VIEWS)
+    guests = {
+        "strangers": strangers(range(index + 1, index + ROOMS_ASKED), GUESTS),
+        "twins": twins(frames[:GUESTS], poses[:GUESTS]),
+    }
     return matched(frames, poses, EXTREME_SETS, RANDOM_SETS, index, guests)
-
-
-def _strangers(index: int) -> tuple[list[Frame], Array]:
-    try:
-        return _views(index, GUESTS)
-    except FewviewError:
-        return _strangers(index + 1)
-
-
-def _views(index: int, count: int) -> tuple[list[Frame], Array]:
-    scene = synthetic.generate(synthetic.split_seed("validation", index), count, index, "random")
-    return list(scene.frames), np.stack([scene.poses[name] for name in scene.names])
-
-
-def _mirrored(frames: Sequence[Frame], poses: Array) -> tuple[list[Frame], Array]:
-    """What the same cameras see in the mirror image of the room."""
-    flip = np.diag([-1.0, 1.0, 1.0, 1.0])
-    flipped = []
-    for frame in frames:
-        camera = frame.intrinsics
-        turned = replace(camera, cx=camera.width - 1 - camera.cx)
-        colour, depth = frame.colour[:, ::-1].copy(), frame.depth[:, ::-1].copy()
-        flipped.append(replace(frame, colour=colour, depth=depth, intrinsics=turned))
-    return flipped, flip @ poses @ flip
 
 
 def folder(path: Path) -> Matched:
@@ -102,7 +79,7 @@ def matched(
     extreme: int,
     random: int,
     seed: int,
-    guests: Mapping[str, tuple[list[Frame], Array]] | None = None,
+    guests: Mapping[str, Views] | None = None,
 ) -> Matched:
     """Draw sets of views and complete their scans and the guests."""
     config, rng = Config(), np.random.default_rng(seed)
@@ -115,10 +92,10 @@ def matched(
         sets.append(("random", sorted(rng.choice(len(frames), SIZE, replace=False).tolist())))
     needed = sorted({i for _, members in sets for i in members})
     everything, known, invited = list(frames), [poses], []
-    for kind, (views, where) in (guests or {}).items():
-        invited.append((kind, list(range(len(everything), len(everything) + len(views)))))
+    for kind, (shown, where) in (guests or {}).items():
+        invited.append((kind, list(range(len(everything), len(everything) + len(shown)))))
         needed += invited[-1][1]
-        everything += views
+        everything += shown
         known.append(where)
 
     def one(i: int) -> PreparedScan:
