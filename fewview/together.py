@@ -11,9 +11,9 @@ places that anything proposes for it (scripts/fit_potential.py).
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from importlib import resources
 
 import numpy as np
@@ -50,6 +50,9 @@ LOOSE = np.diag([np.radians(5.0) ** 2] * 3 + [0.15**2] * 3)
 
 DIGITS = 5
 """Poses are asked about with this many digits, and those equal to them once."""
+
+DRAWN_KEPT = 64
+"""Groups of scans whose drawings are kept, 1.4 MB each: what has not moved is drawn once."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,7 @@ class Together:
         self._model = shipped_potential() if model is None else model
         self._alignments: dict[tuple[int, int], Alignment] = {}
         self._known: dict[tuple[int, int], dict[bytes, Array]] = {}
+        self._drawn_together = lru_cache(DRAWN_KEPT)(self._embedded)
 
     @property
     def join(self) -> float:
@@ -173,13 +177,17 @@ class Together:
 
     def _drawn(self, poses: Mapping[int, Array], base: int) -> Embedded:
         """A group of scans on the grid of one of them."""
-        alone = _above(self._scan(base))
-        others = [i for i in poses if i != base]
+        others = tuple(i for i in poses if i != base)
         if not others:
-            return alone
+            return _above(self._scan(base))
         base_T_other = se3.inverse(poses[base]) @ np.stack([poses[i] for i in others])
+        return self._drawn_together(base, others, (base_T_other.round(DIGITS) + 0.0).tobytes())
+
+    def _embedded(self, base: int, others: Sequence[int], base_T_other: bytes) -> Embedded:
+        """Scans drawn on the grid of ``base``; the bytes are of (n, 4, 4) poses."""
         drawings = [_above(self._scan(i)).drawing for i in others]
-        return embed(joint_drawing(alone.drawing, drawings, base_T_other))
+        poses = np.frombuffer(base_T_other).reshape(-1, 4, 4)
+        return embed(joint_drawing(_above(self._scan(base)).drawing, drawings, poses))
 
     def _alignment(self, source: int, target: int) -> Alignment:
         if (source, target) not in self._alignments:

@@ -184,7 +184,7 @@ def room(index: int, rooms: range, count: int, config: Config) -> Iterator[Pair]
     rng = np.random.default_rng(index)
     pairs = list(itertools.combinations(range(count), 2))
     for guest in range(count, len(every)):
-        beside = {guest % GUESTS, *rng.choice(count, BESIDE - 1, replace=False).tolist()}
+        beside = {(guest - count) % GUESTS, *rng.choice(count, BESIDE - 1, replace=False).tolist()}
         pairs += [(view, guest) for view in sorted(beside)]
     nowhere = se3.pose(np.eye(3), np.array([NOWHERE_M, 0.0, 0.0]))
     where = np.concatenate([poses, np.tile(nowhere, (len(guests), 1, 1))])

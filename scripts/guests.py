@@ -6,20 +6,36 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from fewview import synthetic
 from fewview.errors import FewviewError
-from fewview.types import Array, Frame
+from fewview.types import Array, FloatArray, Frame
+
+MOST_WARPED, WARPED_AT_M = 0.04, 3.0
+"""Standard deviation of the relative error of depth that a room's sensor has at most, and at which
+depth: measured surfaces of Kinects and Xtions are bent by centimetres, generated ones are not."""
 
 Views = tuple[list[Frame], Array]
 """n frames and their (n, 4, 4) poses."""
 
 
 def views(index: int, count: int, mode: str = "random") -> Views:
-    """What cameras see in a room of the validation split."""
+    """What cameras see in a room of the validation split, through a sensor of its own."""
     scene = synthetic.generate(synthetic.split_seed("validation", index), count, index, mode)
-    return list(scene.frames), np.stack([scene.poses[name] for name in scene.names])
+    rng = np.random.default_rng(index)
+    coarse = rng.uniform(0.0, MOST_WARPED) * rng.standard_normal((4, 5))
+    frames = [replace(frame, depth=_warped(frame.depth, coarse)) for frame in scene.frames]
+    return frames, np.stack([scene.poses[name] for name in scene.names])
+
+
+def _warped(depth: FloatArray, coarse: Array) -> FloatArray:
+    """(h, w) depths as measured by a sensor whose calibration is off, by a (4, 5) share of the
+    depth from one part of the image to another; more the further away."""
+    height, width = depth.shape
+    share = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    return np.asarray(depth * (1.0 + share * depth / WARPED_AT_M), dtype=np.float32)
 
 
 def strangers(rooms: Iterable[int], count: int) -> Views:

@@ -85,6 +85,31 @@ def test_overlap_and_residual_of_shifted_walls() -> None:
     assert agreement.residual_m[1] == pytest.approx(0.05, abs=0.01)
 
 
+def striped_wall(contrast: int) -> PreparedScan:
+    """A camera that looks straight at a wall with upright stripes, 0.4 m each at 2 m."""
+    light = (np.arange(320) * 2.0 / CAMERA.fx / 0.4).astype(int) % 2
+    colour = np.tile((100 + contrast * light).astype(np.uint8)[None, :, None], (240, 1, 3))
+    depth = np.full((240, 320), 2.0, dtype=np.float32)
+    return prepare(complete("stripes", Frame(colour, depth, CAMERA), 0, FeatureConfig(), 0))
+
+
+def test_colours_agree_in_the_right_place_and_not_a_stripe_further() -> None:
+    along = np.tile(np.eye(4), (4, 1, 1))
+    along[:, 0, 3] = (0.0, 0.2, 0.4, 0.8)
+    wall = striped_wall(100)
+    right, between, wrong, periodic = evidence.surface_agreement(wall, wall, along).concordance
+    assert right > 0.9 and periodic > 0.6
+    assert abs(between) < 0.2 and wrong < -0.6
+
+
+def test_colours_of_plain_walls_say_nothing() -> None:
+    plain, far = striped_wall(1), np.eye(4)[None].copy()
+    far[0, 2, 3] = 3.0
+    both = np.concatenate([np.eye(4)[None], far])
+    found = evidence.surface_agreement(plain, plain, both).concordance
+    assert abs(found[0]) < 0.1 and found[1] == 0.0
+
+
 def test_gravity_disagreement_is_the_tilt() -> None:
     levelling = wall_scan(2.0).scan.levelling
     tilted = se3.exp(np.array([[0.0, 0.0, 0.3, 0.0, 0.0, 0.0]]))
