@@ -1,12 +1,12 @@
 """Fit the potential of two scans that stand in one room, and store it in the package.
 
-    python scripts/fit_potential.py --rooms 80 --scene FOLDER ... --check FOLDER ...
+    python scripts/fit_potential.py --rooms 52 --scene FOLDER ... --check FOLDER ...
 
 Pseudo-likelihood: in generated rooms of the validation split that played no part in fitting the
 candidates' probabilities, and in folders given with --scene, one or two scans of a set are put
 beside others that stand right. Of all places that candidates and the aligner propose for them, one
 is right or none is; the log odds of a place are the sum of the potentials of the pairs that it
-creates. Guests are put beside each set too, for which no place is right: strangers, scans of the
+creates. Each room is seen twice, the second time through a sensor whose calibration is off. Guests are put beside each set too, for which no place is right: strangers, scans of the
 next room, and twins, scans of the room that is the mirror image of this one.
 The report is of scenes in turn held out by quarters, and of folders given with --check, which are
 never fitted to; what is stored is fitted to all others. What the aligner says of scans drawn as one
@@ -17,6 +17,7 @@ potentials stay as they are stored.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 from dataclasses import replace
 from functools import partial
@@ -27,7 +28,7 @@ from fewview.config import Config
 from fewview.together import PotentialModel, potential_from
 from potential.fit import HIDDEN, HIDDEN_RIDGE, RIDGE, fitted, with_drawings
 from potential.report import Json, held_out, told
-from potential.samples import RIGHT_DEG, RIGHT_M, cached
+from potential.samples import RIGHT_DEG, RIGHT_M, Sample, cached
 from potential.scenes import folder, room
 
 FIRST_ROOM = 64
@@ -36,8 +37,8 @@ FIRST_ROOM = 64
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rooms", type=int, default=80)
-    parser.add_argument("--drawn-rooms", type=int, default=46)
+    parser.add_argument("--rooms", type=int, default=52)
+    parser.add_argument("--drawn-rooms", type=int, default=24)
     parser.add_argument("--drawn-alone", action="store_true")
     parser.add_argument("--scene", type=Path, nargs="*", default=[])
     parser.add_argument("--check", type=Path, nargs="*", default=[])
@@ -53,12 +54,7 @@ def main() -> None:
         model, report = potentials(options)
         made = recipe(options)
     first = made["rooms"][1]
-    further = range(first, first + options.drawn_rooms)
-    apart = [
-        sample
-        for i in further
-        for sample in cached(options.cache, f"room-{i:03d}", partial(room, i))
-    ]
+    apart = samples_of_rooms(options.cache, range(first, first + options.drawn_rooms))
     report["apart"] = told([(replace(model, drawn=0.0), s) for s in apart])
     model = with_drawings(model, apart)
     report["apart, with drawings"] = told([(model, s) for s in apart])
@@ -69,14 +65,22 @@ def main() -> None:
 
 def potentials(options: argparse.Namespace) -> tuple[PotentialModel, Json]:
     """The potentials without drawings, and what is reported of them."""
-    rooms = range(FIRST_ROOM, FIRST_ROOM + options.rooms)
-    fit = [s for i in rooms for s in cached(options.cache, f"room-{i:03d}", partial(room, i))]
+    fit = samples_of_rooms(options.cache, range(FIRST_ROOM, FIRST_ROOM + options.rooms))
     fit += [s for f in options.scene for s in cached(options.cache, f.name, partial(folder, f))]
     check = [s for f in options.check for s in cached(options.cache, f.name, partial(folder, f))]
     model, report = fitted(fit), {"held out": held_out(fit)}
     for scene in dict.fromkeys(s.scene for s in check):
         report[scene] = told([(model, s) for s in check if s.scene == scene])
     return model, report
+
+
+def samples_of_rooms(cache: Path, rooms: range) -> list[Sample]:
+    """Each room twice, the second time through a sensor whose calibration is off."""
+    return [
+        sample
+        for i, warped in itertools.product(rooms, (False, True))
+        for sample in cached(cache, f"room-{i:03d}{'-warped' * warped}", partial(room, i, warped))
+    ]
 
 
 def recipe(options: argparse.Namespace) -> Json:
