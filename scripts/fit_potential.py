@@ -6,8 +6,9 @@ Pseudo-likelihood: in generated rooms of the validation split that played no par
 candidates' probabilities, and in folders given with --scene, one or two scans of a set are put
 beside others that stand right. Of all places that candidates and the aligner propose for them, one
 is right or none is; the log odds of a place are the sum of the potentials of the pairs that it
-creates. Each room is seen twice, the second time through a sensor whose calibration is off. Guests are put beside each set too, for which no place is right: strangers, scans of the
-next room, and twins, scans of the room that is the mirror image of this one.
+creates. Each room is seen twice, the second time through a sensor whose calibration is off. Guests
+are put beside each set too, for which no place is right: strangers, scans of another room, and
+twins, scans of the room that is the mirror image of this one.
 The report is of scenes in turn held out by quarters, and of folders given with --check, which are
 never fitted to; what is stored is fitted to all others. What the aligner says of scans drawn as one
 is weighed afterwards, on further rooms that the potentials do not know; with --drawn-alone the
