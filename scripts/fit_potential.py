@@ -76,9 +76,10 @@ def potentials(options: argparse.Namespace) -> tuple[PotentialModel, Json]:
 
 
 def samples_of_rooms(cache: Path, rooms: range) -> list[Sample]:
-    """Each room twice, the second time through a sensor whose calibration is off."""
+    """Each room twice, the second time through a sensor whose calibration is off; one scene, so
+    that no half of it is held out alone."""
     return [
-        sample
+        replace(sample, scene=f"room-{i:03d}")
         for i, warped in itertools.product(rooms, (False, True))
         for sample in cached(cache, f"room-{i:03d}{'-warped' * warped}", partial(room, i, warped))
     ]
