@@ -1,14 +1,13 @@
 """Fit the potential of two scans that stand in one room, and store it in the package.
 
-    python scripts/fit_potential.py --rooms 52 --scene FOLDER ... --check FOLDER ...
+    python scripts/fit_potential.py --rooms 60 --scene FOLDER ... --check FOLDER ...
 
 Pseudo-likelihood: in generated rooms of the validation split that played no part in fitting the
 candidates' probabilities, and in folders given with --scene, one or two scans of a set are put
 beside others that stand right. Of all places that candidates and the aligner propose for them, one
 is right or none is; the log odds of a place are the sum of the potentials of the pairs that it
-creates. Each room is seen twice, the second time through a sensor whose calibration is off. Guests
-are put beside each set too, for which no place is right: strangers, scans of another room, and
-twins, scans of the room that is the mirror image of this one.
+creates. Guests are put beside each set too, for which no place is right: strangers, scans of the
+next room, and twins, scans of the room that is the mirror image of this one.
 The report is of scenes in turn held out by quarters, and of folders given with --check, which are
 never fitted to; what is stored is fitted to all others. What the aligner says of scans drawn as one
 is weighed afterwards, on further rooms that the potentials do not know; with --drawn-alone the
@@ -18,7 +17,6 @@ potentials stay as they are stored.
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 from dataclasses import replace
 from functools import partial
@@ -38,8 +36,8 @@ FIRST_ROOM = 64
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rooms", type=int, default=52)
-    parser.add_argument("--drawn-rooms", type=int, default=24)
+    parser.add_argument("--rooms", type=int, default=60)
+    parser.add_argument("--drawn-rooms", type=int, default=16)
     parser.add_argument("--drawn-alone", action="store_true")
     parser.add_argument("--scene", type=Path, nargs="*", default=[])
     parser.add_argument("--check", type=Path, nargs="*", default=[])
@@ -76,13 +74,7 @@ def potentials(options: argparse.Namespace) -> tuple[PotentialModel, Json]:
 
 
 def samples_of_rooms(cache: Path, rooms: range) -> list[Sample]:
-    """Each room twice, the second time through a sensor whose calibration is off; one scene, so
-    that no half of it is held out alone."""
-    return [
-        replace(sample, scene=f"room-{i:03d}")
-        for i, warped in itertools.product(rooms, (False, True))
-        for sample in cached(cache, f"room-{i:03d}{'-warped' * warped}", partial(room, i, warped))
-    ]
+    return [s for i in rooms for s in cached(cache, f"room-{i:03d}", partial(room, i))]
 
 
 def recipe(options: argparse.Namespace) -> Json:

@@ -21,9 +21,9 @@ Views = tuple[list[Frame], Array]
 """n frames and their (n, 4, 4) poses."""
 
 
-def views(index: int, count: int, mode: str = "random", warped: bool = True) -> Views:
-    """What cameras see in a room of the validation split, through a sensor of its own whose
-    calibration is off, or through the one of the generator."""
+def views(index: int, count: int, mode: str = "random", warped: bool = False) -> Views:
+    """What cameras see in a room of the validation split, through the sensor of the generator, or
+    through one whose calibration is off."""
     scene = synthetic.generate(synthetic.split_seed("validation", index), count, index, mode)
     rng = np.random.default_rng(index)
     coarse = rng.uniform(0.0, MOST_WARPED) * rng.standard_normal((4, 5)) * warped
@@ -39,7 +39,7 @@ def _warped(depth: FloatArray, coarse: Array) -> FloatArray:
     return np.asarray(depth * (1.0 + share * depth / WARPED_AT_M), dtype=np.float32)
 
 
-def strangers(rooms: Iterable[int], count: int, warped: bool = True) -> Views:
+def strangers(rooms: Iterable[int], count: int, warped: bool = False) -> Views:
     """Views of the first of other rooms that has a place for them."""
     for index in rooms:
         with suppress(FewviewError):

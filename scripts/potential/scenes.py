@@ -53,12 +53,11 @@ class Matched:
         return self._pairs[i, j]
 
 
-def room(index: int, warped: bool) -> Matched:
-    """A generated room of the validation split, strangers from the next that has a place, twins;
-    see `guests.views` for the sensor."""
-    frames, poses = views(index, VIEWS, warped=warped)
+def room(index: int) -> Matched:
+    """A generated room of the validation split, strangers from the next that has a place, twins."""
+    frames, poses = views(index, VIEWS)
     guests = {
-        "strangers": strangers(range(index + 1, index + ROOMS_ASKED), GUESTS, warped),
+        "strangers": strangers(range(index + 1, index + ROOMS_ASKED), GUESTS),
         "twins": twins(frames[:GUESTS], poses[:GUESTS]),
     }
     return matched(frames, poses, EXTREME_SETS, RANDOM_SETS, index, guests)
