@@ -227,7 +227,6 @@ class _Run:
             self.seed,
             fixed,
             Together(prepared) if foreseen else None,
-            self.executor.map,
         )
         pairs = solution.with_found(pairs)
         self.priors.check(pairs, solution)

@@ -13,9 +13,6 @@ relative to another when every block that separates the two is, as in `belief`.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable
-from functools import partial
-from typing import Protocol, TypeVar
 
 import numpy as np
 from scipy.sparse import csgraph, csr_array
@@ -30,19 +27,6 @@ from fewview.global_stage.model import TOLD_EVIDENCE, Problem
 from fewview.global_stage.placement import State, agreement_now, gain_matrix
 from fewview.global_stage.places import Places, Potentials, places
 from fewview.types import Array, BoolArray, IntArray
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
-
-
-class Map(Protocol):
-    """What `map` and `fewview.executor.Executor.map` answer: results in the order of the items."""
-
-    def __call__(
-        self, function: Callable[[Item], Result], items: Iterable[Item], /
-    ) -> Iterable[Result]:
-        """``function`` of every item."""
-
 
 SURE = 0.98
 """Scans that the candidates alone place with this probability are not asked about again."""
@@ -102,10 +86,9 @@ class Arranging:
         """Whether anything is left to decide."""
         return len(self.nodes) > 1
 
-    def search(self, seed: int, count: int, each: Map = map) -> list[Answer]:
-        """The best ``count`` answers at most, best first, each saying something new; ``each`` may
-        work on several starts at a time."""
-        found = list(each(partial(self._from_start, seed), range(1 + TREES)))
+    def search(self, seed: int, count: int) -> list[Answer]:
+        """The best ``count`` answers at most, best first, each saying something new."""
+        found = [self._from_start(seed, start) for start in range(1 + TREES)]
         found.sort(key=lambda one: -one.score)
         found += self._neighbours(found[0])
         kept: list[Answer] = []

@@ -11,7 +11,7 @@ from fewview.config import GlobalConfig
 from fewview.geometry import se3
 from fewview.global_stage import discrete, reasons
 from fewview.global_stage.alternatives import alternatives
-from fewview.global_stage.arrangement import Arranging, Map
+from fewview.global_stage.arrangement import Arranging
 from fewview.global_stage.belief import drop_doubtful
 from fewview.global_stage.comparison import Answer
 from fewview.global_stage.links import bridges, selected
@@ -40,7 +40,6 @@ def solve(
     seed: int,
     fixed: Mapping[int, Array] | None = None,
     potentials: Potentials | None = None,
-    each: Map = map,
 ) -> GlobalSolution:
     """Choose at most one candidate per pair and pose every scan that can be trusted.
 
@@ -54,7 +53,6 @@ def solve(
             candidates between these scans.
         potentials: what any two scans say of their places; without them the candidates alone
             decide.
-        each: does independent work, on several cores when it is an executor's.
 
     Returns:
         Components of two scans or more, or with a fixed one, largest first, each in its own world
@@ -63,7 +61,7 @@ def solve(
     """
     fixed = fixed or {}
     problem = build(len(names), pairs, config, fixed)
-    decided = _decide(problem, config, seed, potentials, each)
+    decided = _decide(problem, config, seed, potentials)
     groups = _groups(decided.state, fixed)
     links = {group: _links(problem, decided, pairs, group, potentials) for group in groups}
     parts = [_place(decided.state, links[group], levellings, group, fixed) for group in groups]
@@ -110,7 +108,7 @@ class _Decision:
 
 
 def _decide(
-    problem: Problem, config: GlobalConfig, seed: int, potentials: Potentials | None, each: Map
+    problem: Problem, config: GlobalConfig, seed: int, potentials: Potentials | None
 ) -> _Decision:
     """By the candidates, and what they leave open, by all scans that a place puts together."""
     count, least = 1 + config.alternatives, config.min_probability
@@ -122,7 +120,7 @@ def _decide(
         return _Decision(state, probability, answers, None)
     arranging = Arranging(problem, state, probability, potentials)
     if arranging.open:
-        answers = arranging.search(seed, count, each)
+        answers = arranging.search(seed, count)
         state = answers[0].state.copy()
         probability = arranging.drop_doubtful(state, least)
     return _Decision(state, probability, answers, arranging.matrix(state))
