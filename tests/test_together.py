@@ -134,20 +134,6 @@ def around(truth: Array, source: int, target: int, count: int = 6) -> Array:
 # The potential
 
 
-def test_a_pose_is_judged_alike_whatever_others_are_asked_about(
-    scans: list[PreparedScan], truth: Array
-) -> None:
-    """Threads share poses out, each time otherwise: to the last bit, or bytes would differ."""
-    true = se3.inverse(truth[1]) @ truth[0]
-    poses = se3.exp(np.random.default_rng(3).normal(0.0, 0.1, (37, 6))) @ true
-    alignment = aligned(scans[0], scans[1])
-    assert alignment is not None
-    together = pair_quantities(scans[0], scans[1], poses, alignment)
-    for k in range(len(poses)):
-        alone = pair_quantities(scans[0], scans[1], poses[k : k + 1], alignment)
-        assert all(alone[name][0] == together[name][k] for name in together)
-
-
 def test_the_potential_is_the_models_of_the_pairs_quantities(
     fresh: Callable[[], Together], scans: list[PreparedScan], truth: Array
 ) -> None:

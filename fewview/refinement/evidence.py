@@ -233,11 +233,11 @@ def gravity_disagreement(
 ) -> tuple[Array, Array]:
     """(K,) angle between the two scans' up directions under the poses, radians, and (K,) distance
     between their floors, metres, 0 where a floor is unknown."""
-    turned = _times(target_T_source[:, :3, :3], source.level_R_scan[2])
-    tilt = np.arccos(np.clip(_times(turned, target.level_R_scan[2]), -1.0, 1.0))
+    turned = target_T_source[:, :3, :3] @ source.level_R_scan[2]
+    tilt = np.arccos(np.clip(turned @ target.level_R_scan[2], -1.0, 1.0))
     if source.floor_z is None or target.floor_z is None:
         return tilt, np.zeros(len(tilt))
-    lift = _times(target_T_source[:, :3, 3], target.level_R_scan[2])
+    lift = target_T_source[:, :3, 3] @ target.level_R_scan[2]
     return tilt, np.abs(source.floor_z + lift - target.floor_z)
 
 
@@ -245,17 +245,10 @@ def yaw_disagreement(source: Levelling, target: Levelling, target_T_source: Arra
     """(K,) angle between the Manhattan frames modulo 90 degrees, 0 where one is unknown."""
     if not (source.manhattan and target.manhattan):
         return np.zeros(len(target_T_source))
-    turned = _times(target_T_source[:, :3, :3], source.level_R_scan[0])
-    level = _times(turned[:, None], target.level_R_scan)
+    turned = target_T_source[:, :3, :3] @ source.level_R_scan[0]
+    level = turned @ target.level_R_scan.T
     angle = np.arctan2(level[:, 1], level[:, 0])
     return np.asarray(np.abs((angle + np.pi / 4) % (np.pi / 2) - np.pi / 4))
-
-
-def _times(one: Array, other: Array) -> Array:
-    """(...) products summed over the last axis of (..., 3); unlike those of BLAS, the same to the
-    last bit however many poses are asked about at once, so that threads may share them out."""
-    product = one * other
-    return np.asarray(product[..., 0] + product[..., 1] + product[..., 2])
 
 
 def _looseness(covariance: Array) -> Array:
