@@ -29,7 +29,6 @@ import torch
 from scipy.optimize import minimize
 from torch import Tensor, nn
 
-from fewview import scans as readers
 from fewview import weights
 from fewview.completion import OBSERVED_KINDS, complete
 from fewview.config import Config
@@ -40,7 +39,7 @@ from fewview.matching.prepared import PreparedScan, prepare
 from fewview.pairwise import weigh_pair
 from fewview.probability import ARRAYS, ProbabilityModel
 from fewview.types import Array, Frame
-from guests import strangers, twins, views
+from validation_views import folder_views, strangers, twins, views
 
 RIGHT_DEG, RIGHT_M = 15.0, 0.3
 SEEN = (
@@ -199,11 +198,9 @@ def room(index: int, rooms: range, count: int, config: Config, warped: bool) -> 
     yield from weighed(f"room-{index}", every, where, pairs, config)
 
 
-def folder(path: Path, config: Config, most: int = 24) -> Iterator[Pair]:
-    found, truth = readers.load(path).scans, readers.truth(path)
-    known = [s for s in found if s.name in truth]
-    chosen = [known[i] for i in np.linspace(0, len(known) - 1, min(most, len(known))).astype(int)]
-    frames, poses = [s.load() for s in chosen], np.stack([truth[s.name] for s in chosen])
+def folder(path: Path, config: Config) -> Iterator[Pair]:
+    """Scans with ground truth, all pairs of them."""
+    frames, poses = folder_views(path)
     pairs = list(itertools.combinations(range(len(frames)), 2))
     yield from weighed(path.name, frames, poses, pairs, config)
 

@@ -20,6 +20,7 @@ from fewview.types import (
     BoolArray,
     CandidateOrigin,
     Evidence,
+    IntArray,
     Levelling,
 )
 
@@ -124,18 +125,15 @@ def surface_agreement(source: PreparedScan, target: PreparedScan, poses: Array) 
     smaller = forward
     if len(target.scan.surface.points) < len(source.scan.surface.points):
         smaller = backward
-    sums = forward.sums + backward.sums
-    count = sums[:, _COUNT]
-    mean = sums / np.maximum(count, 1.0)[:, None]
+    count = forward.count + backward.count
+    sums = (forward.sums + backward.sums).T
+    residual, colour, product, squares = sums / np.maximum(count, 1)
     return SurfaceAgreement(
         smaller.share,
-        np.where(count > 0, mean[:, _GAP], NEAR_M),
-        np.where(count > 0, mean[:, _COLOUR], 1.0),
-        2.0 * mean[:, _PRODUCT] / (mean[:, _SQUARES] + 2.0 * COLOUR_NOISE),
+        np.where(count > 0, residual, NEAR_M),
+        np.where(count > 0, colour, 1.0),
+        2.0 * product / (squares + 2.0 * COLOUR_NOISE),
     )
-
-
-_COUNT, _GAP, _COLOUR, _PRODUCT, _SQUARES = range(5)
 
 
 @dataclass(frozen=True)
@@ -143,12 +141,13 @@ class _Meeting:
     """Points of one surface that meet the other.
 
     Attributes:
-        share: (K,) of the sampled points.
-        sums: (K, 5) over these points: how many, distances from the other's planes, differences
-            of colour, products and squares of both colours about their means.
+        share: (K,) of the sampled points; count: (K,) how many they are.
+        sums: (K, 4) over them: distances from the other's planes, differences of colour, products
+            and squares of both colours about their means.
     """
 
     share: Array
+    count: IntArray
     sums: Array
 
     @staticmethod
@@ -178,8 +177,8 @@ class _Meeting:
         own, its = centred(surface.colours[::step][row]), centred(other.colours[index])
         difference = np.abs(own - its).mean(axis=-1) / 20.0
         product, squares = (own * its).sum(axis=-1), (own**2 + its**2).sum(axis=-1)
-        each = np.stack([np.ones(len(pose)), gap, difference, product, squares], axis=1)
-        return _Meeting(count / max(points.shape[1], 1), of_pose @ each)
+        each = np.stack([gap, difference, product, squares], axis=1)
+        return _Meeting(count / max(points.shape[1], 1), count, of_pose @ each)
 
 
 @dataclass(frozen=True)

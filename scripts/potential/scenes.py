@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from fewview import scans as readers
 from fewview.completion import complete
 from fewview.config import Config
 from fewview.evaluation.overlap import overlap_matrix
@@ -18,12 +17,12 @@ from fewview.geometry.camera import backproject
 from fewview.matching.prepared import PreparedScan, prepare
 from fewview.pairwise import match_pair
 from fewview.types import Array, Frame, PairResult
-from guests import Views, strangers, twins, views
+from validation_views import Views, folder_views, strangers, twins, views
 
 VIEWS, SIZE, MAX_OVERLAP = 16, 5, 0.1
 EXTREME_SETS, RANDOM_SETS = 2, 1
 GUESTS, ROOMS_ASKED = 2, 9
-SETS_OF_A_FOLDER, MOST_FRAMES = (6, 4), 24
+SETS_OF_A_FOLDER = (6, 4)
 
 
 @dataclass(frozen=True)
@@ -64,13 +63,8 @@ def room(index: int) -> Matched:
 
 
 def folder(path: Path) -> Matched:
-    """Scans with ground truth, at most `MOST_FRAMES` of them."""
-    found, truth = readers.load(path).scans, readers.truth(path)
-    known = [scan for scan in found if scan.name in truth]
-    chosen = np.linspace(0, len(known) - 1, min(MOST_FRAMES, len(known))).astype(int)
-    frames = [known[i].load() for i in chosen]
-    poses = np.stack([truth[known[i].name] for i in chosen])
-    return matched(frames, poses, *SETS_OF_A_FOLDER, seed=0)
+    """Scans with ground truth."""
+    return matched(*folder_views(path), *SETS_OF_A_FOLDER, seed=0)
 
 
 def matched(

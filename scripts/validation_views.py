@@ -1,14 +1,16 @@
-"""Views of generated validation rooms, and guests that stand nowhere among them."""
+"""Views of validation rooms and folders, and guests that stand nowhere among them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 
+from fewview import scans as readers
 from fewview import synthetic
 from fewview.errors import FewviewError
 from fewview.types import Array, FloatArray, Frame
@@ -16,6 +18,9 @@ from fewview.types import Array, FloatArray, Frame
 MOST_WARPED, WARPED_AT_M = 0.04, 3.0
 """Standard deviation of the relative error of depth that a room's sensor has at most, and at which
 depth: measured surfaces of Kinects and Xtions are bent by centimetres, generated ones are not."""
+
+MOST_FRAMES = 24
+"""Of a folder, spread evenly over it."""
 
 Views = tuple[list[Frame], Array]
 """n frames and their (n, 4, 4) poses."""
@@ -25,10 +30,21 @@ def views(index: int, count: int, mode: str = "random", warped: bool = False) ->
     """What cameras see in a room of the validation split, through the sensor of the generator, or
     through one whose calibration is off."""
     scene = synthetic.generate(synthetic.split_seed("validation", index), count, index, mode)
-    rng = np.random.default_rng(index)
-    coarse = rng.uniform(0.0, MOST_WARPED) * rng.standard_normal((4, 5)) * warped
-    frames = [replace(frame, depth=_warped(frame.depth, coarse)) for frame in scene.frames]
-    return frames, np.stack([scene.poses[name] for name in scene.names])
+    frames, poses = list(scene.frames), np.stack([scene.poses[name] for name in scene.names])
+    if warped:
+        rng = np.random.default_rng(index)
+        coarse = rng.uniform(0.0, MOST_WARPED) * rng.standard_normal((4, 5))
+        frames = [replace(frame, depth=_warped(frame.depth, coarse)) for frame in frames]
+    return frames, poses
+
+
+def folder_views(path: Path) -> Views:
+    """Scans with ground truth, at most `MOST_FRAMES` of them."""
+    found, truth = readers.load(path).scans, readers.truth(path)
+    known = [scan for scan in found if scan.name in truth]
+    chosen = np.linspace(0, len(known) - 1, min(MOST_FRAMES, len(known))).astype(int)
+    frames = [known[i].load() for i in chosen]
+    return frames, np.stack([truth[known[i].name] for i in chosen])
 
 
 def _warped(depth: FloatArray, coarse: Array) -> FloatArray:
