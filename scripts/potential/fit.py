@@ -25,7 +25,8 @@ def fitted(samples: Sequence[Sample]) -> PotentialModel:
     """Maximum pseudo-likelihood with ridges."""
     rows = np.concatenate([s.quantities.reshape(-1, len(QUANTITIES)) for s in samples])
     mean, scale = rows.mean(axis=0), rows.std(axis=0) + 1e-6
-    f, pairs, places, right = _padded(samples, mean, scale)
+    f = torch.from_numpy(np.clip((rows - mean) / scale, -CLIP, CLIP))
+    place, there, right = _places(samples)
     d = len(QUANTITIES)
     shapes = [(d,), (), (HIDDEN, d), (HIDDEN,), (HIDDEN,), ()]
     sizes = [int(np.prod(shape)) for shape in shapes]
@@ -37,8 +38,8 @@ def fitted(samples: Sequence[Sample]) -> PotentialModel:
         parameters = torch.from_numpy(values).requires_grad_()
         w, b, u, c, v, join = parts(parameters)
         potential = f @ w + b + torch.tanh(f @ u.T + c) @ v
-        z = (potential * pairs[:, :, None]).sum(dim=1) + join
-        z = nn.functional.pad(z.masked_fill(~places, -torch.inf), (1, 0))
+        z = torch.zeros(there.numel(), dtype=f.dtype).index_add(0, place, potential) + join
+        z = nn.functional.pad(z.view_as(there).masked_fill(~there, -torch.inf), (1, 0))
         error = WEIGHT * nn.functional.cross_entropy(z, right, reduction="sum")
         error = error + RIDGE * w.square().sum() + HIDDEN_RIDGE * (u.square().sum() + v @ v)
         (slope,) = torch.autograd.grad(error, parameters)
@@ -93,21 +94,15 @@ def _right_place(sample: Sample) -> int:
     return 1 + int(np.where(sample.right, error, np.inf).argmin())
 
 
-def _padded(
-    samples: Sequence[Sample], mean: Array, scale: Array
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Standardised quantities (S, m, K, d), which pairs (S, m) and places (S, K) there are, and
-    the right place from 1 on, 0 for none."""
-    most = max(s.quantities.shape[1] for s in samples)
-    widest = max(len(s.quantities) for s in samples)
-    f = torch.zeros(len(samples), widest, most, len(QUANTITIES), dtype=torch.float64)
-    pairs = torch.zeros(f.shape[:2], dtype=torch.float64)
-    places = torch.zeros(len(samples), most, dtype=torch.bool)
-    right = torch.zeros(len(samples), dtype=torch.int64)
-    for k, sample in enumerate(samples):
-        m, count, _ = sample.quantities.shape
-        standard = np.clip((sample.quantities - mean) / scale, -CLIP, CLIP)
-        f[k, :m, :count] = torch.from_numpy(standard)
-        pairs[k, :m], places[k, :count] = 1.0, True
-        right[k] = _right_place(sample)
-    return f, pairs, places, right
+def _places(samples: Sequence[Sample]) -> tuple[Tensor, Tensor, Tensor]:
+    """The place, of S K in all, of every pair in the samples' quantities; which places there are
+    (S, K); and the right one (S,) from 1 on, 0 for none."""
+    counts = np.array([s.quantities.shape[1] for s in samples])
+    most = counts.max()
+    place = [
+        np.tile(k * most + np.arange(count), len(sample.quantities))
+        for k, (sample, count) in enumerate(zip(samples, counts, strict=True))
+    ]
+    right = torch.tensor([_right_place(sample) for sample in samples])
+    there = torch.from_numpy(np.arange(most) < counts[:, None])
+    return torch.from_numpy(np.concatenate(place)), there, right
