@@ -132,7 +132,7 @@ class Pair:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rooms", type=int, default=24)
+    parser.add_argument("--rooms", type=int, default=64)
     parser.add_argument("--views", type=int, default=8)
     parser.add_argument("--scene", type=Path, nargs="*", default=[])
     parser.add_argument("--check", type=Path, nargs="*", default=[])
