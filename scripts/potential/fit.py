@@ -10,7 +10,7 @@ import torch
 from scipy.optimize import minimize
 from torch import Tensor, nn
 
-from fewview.probability import CLIP, ProbabilityModel
+from fewview.probability import ProbabilityModel
 from fewview.together import PotentialModel
 from fewview.types import Array
 from potential.samples import QUANTITIES, RIGHT_DEG, RIGHT_M, Sample
@@ -25,14 +25,22 @@ def fitted(samples: Sequence[Sample]) -> PotentialModel:
     """Maximum pseudo-likelihood with ridges."""
     rows = np.concatenate([s.quantities.reshape(-1, len(QUANTITIES)) for s in samples])
     mean, scale = rows.mean(axis=0), rows.std(axis=0) + 1e-6
-    f = torch.from_numpy(np.clip((rows - mean) / scale, -CLIP, CLIP))
-    place, there, right = _places(samples)
     d = len(QUANTITIES)
     shapes = [(d,), (), (HIDDEN, d), (HIDDEN,), (HIDDEN,), ()]
     sizes = [int(np.prod(shape)) for shape in shapes]
 
     def parts(parameters: Tensor) -> list[Tensor]:
         return [p.reshape(s) for p, s in zip(torch.split(parameters, sizes), shapes, strict=True)]
+
+    def model(parameters: Array) -> PotentialModel:
+        w, b, u, c, v, join = (p.numpy() for p in parts(torch.from_numpy(parameters)))
+        pair = ProbabilityModel(QUANTITIES, mean, scale, w, float(b), u, c, v)
+        return PotentialModel(pair, float(join), drawn=0.0, typical=0.0)
+
+    start = np.random.default_rng(0).normal(0.0, START, sum(sizes))
+    start[: d + 1] = start[-1] = 0.0
+    f = torch.from_numpy(model(start).pair.standard(rows))
+    place, there, right = _places(samples)
 
     def loss(values: Array) -> tuple[float, Array]:
         parameters = torch.from_numpy(values).requires_grad_()
@@ -45,12 +53,8 @@ def fitted(samples: Sequence[Sample]) -> PotentialModel:
         (slope,) = torch.autograd.grad(error, parameters)
         return error.item(), slope.numpy()
 
-    start = np.random.default_rng(0).normal(0.0, START, sum(sizes))
-    start[: d + 1] = start[-1] = 0.0
     found = minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS})
-    w, b, u, c, v, join = (p.numpy() for p in parts(torch.from_numpy(found.x)))
-    model = ProbabilityModel(QUANTITIES, mean, scale, w, float(b), u, c, v)
-    return PotentialModel(model, float(join), drawn=0.0, typical=0.0)
+    return model(found.x)
 
 
 def with_drawings(model: PotentialModel, samples: Sequence[Sample]) -> PotentialModel:
