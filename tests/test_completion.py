@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -12,7 +13,13 @@ from fewview import synthetic
 from fewview.completion import complete
 from fewview.completion.levelling import doubted, level, upright
 from fewview.completion.local_geometry import DepthView, reduce_depth, thin_surface
-from fewview.completion.orientation import glance, quarter_turns
+from fewview.completion.orientation import (
+    chosen_turns,
+    glance,
+    match_votes,
+    quarter_turns,
+    upright_cues,
+)
 from fewview.completion.patches import find_patches
 from fewview.completion.scan import COMPLETED_KINDS, OBSERVED_KINDS
 from fewview.completion.xfeat import turn_pixels
@@ -23,6 +30,7 @@ from fewview.matching.prepared import prepare
 from fewview.pairwise import match_pair
 from fewview.refinement.local import refine_alone
 from fewview.types import (
+    Array,
     CompletedScan,
     Frame,
     Intrinsics,
@@ -149,6 +157,38 @@ def test_quarter_turns_are_recovered(scene: synthetic.SyntheticScene) -> None:
 
 def test_upright_images_are_left_as_they_are(scene: synthetic.SyntheticScene) -> None:
     np.testing.assert_array_equal(quarter_turns([glance(f) for f in scene.frames]), 0)
+
+
+def votes_of(found: dict[tuple[int, int], list[float]], count: int) -> Array:
+    """(n, n, 4) of a few matches at every turn, but for the pairs named."""
+    votes = np.zeros((count, count, 4))
+    for i, j in itertools.combinations(range(count), 2):
+        votes[i, j] = match_votes(np.array(found.get((i, j), [6.0, 5.0, 9.0, 6.0])))
+        votes[j, i] = votes[i, j][[0, 3, 2, 1]]
+    return votes
+
+
+def test_many_matches_turn_an_image_and_many_hints_do_not() -> None:
+    unknown = np.log(np.full((12, 4), 0.25))
+    np.testing.assert_array_equal(chosen_turns(votes_of({}, 12), unknown), 0)
+    sure = votes_of({(2, 7): [8.0, 120.0, 5.0, 6.0]}, 12)
+    np.testing.assert_array_equal(np.flatnonzero(chosen_turns(sure, unknown)), [7])
+    assert chosen_turns(sure, unknown)[7] == 1
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_all_images_together_say_that_they_lie_on_their_side(turns: int) -> None:
+    hint = np.roll(np.log([0.55, 0.15, 0.15, 0.15]), turns)
+    votes = np.zeros((8, 8, 4))
+    np.testing.assert_array_equal(chosen_turns(votes, np.tile(hint, (8, 1))), turns)
+    np.testing.assert_array_equal(chosen_turns(votes[:3, :3], np.tile(hint, (3, 1))), 0)
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_cues_turn_with_the_image(scene: synthetic.SyntheticScene, turns: int) -> None:
+    upright_cues_of = upright_cues(scene.frames[0])
+    turned = upright_cues(turned_frame(scene.frames[0], turns)[0])
+    np.testing.assert_allclose(turned, np.roll(upright_cues_of, -turns, axis=0), atol=0.03)
 
 
 @pytest.mark.parametrize("turns", range(4))

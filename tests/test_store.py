@@ -260,7 +260,7 @@ class Work(Observer):
         return Glance((), np.full(4, frame.colour[0, 0, 0], np.float64))
 
     def quarter_turns(self, glances: list[Glance]) -> np.ndarray:
-        return np.array([self.turns.get(int(g.floor[0]), 0) for g in glances])
+        return np.array([self.turns.get(int(g.upright[0]), 0) for g in glances])
 
     def complete(
         self, name: str, frame: Frame, turns: int, features: object, seed: int, up: Array | None

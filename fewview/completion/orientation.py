@@ -1,21 +1,26 @@
 """Which way up the images are: quarter turns that bring all of them into a common orientation.
 
 Learned keypoints do not survive in-plane rotation. Two cues tell the turns. Between images, mutual
-nearest neighbours of descriptors peak sharply at the right relative turn, even where views share
-little. Within an image, more surface looks up from below the camera than down from above it.
+nearest neighbours of descriptors are most at the right relative turn, even where views share
+little: hundreds of them leave no doubt, ten prove nothing. Within an image, surface below the
+camera looks up and what is further up is further away; an image says little by that, a folder of
+images held alike a lot. Each cue is a conditional logit over the four turns, fitted by
+scripts/fit_orientation.py.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.special import log_softmax
 
-from fewview.completion.levelling import upright
+from fewview.completion.levelling import upright as upright_axis
 from fewview.completion.local_geometry import DepthView, thin_surface
 from fewview.completion.xfeat import describe
-from fewview.types import Array, FloatArray, Frame, IntArray, Surface
+from fewview.types import Array, FloatArray, Frame, IntArray
 
 SMALL_WIDTH = 320
 KEYPOINTS = 400
@@ -23,10 +28,16 @@ MIN_COSINE = 0.82
 COARSE_VOXEL_M = 0.12
 MAX_DEPTH_M = 6.0
 FACING_COS = 0.8
-SIGNIFICANT = 3.0
-MIN_GAIN = 10.0
-FLOOR_WEIGHT = 20.0
-UPRIGHT_PRIOR = 3.0
+MATCHES_LOGIT = np.array([-1.83, 1.83])
+"""Of log(1 + m) and sqrt(m) of the m matches of a pair at each relative turn."""
+CUES_LOGIT = np.array([-5.98, 3.32, 8.01, -1.61, 1.34])
+"""Of the `upright_cues` of an image at each turn."""
+AS_TAKEN = 2.0
+"""Prior log odds of an image being upright as it was taken, against each other turn."""
+MIN_GAIN = 7.0
+"""Log odds that each image turned against most others must bring, on average."""
+MIN_COMMON_GAIN = 6.0
+"""Log odds that turning all images alike must bring."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +46,12 @@ class Glance:
 
     Attributes:
         descriptors: of the small image after 0, 1, 2 and 3 counter-clockwise quarter turns.
-        floor: (4,) share of the surface that looks like floor, less that which looks like
-            ceiling, if the image needs that many turns to stand upright.
+        upright: (4,) log probability, by the image alone, that it needs that many turns to stand
+            upright.
     """
 
     descriptors: tuple[FloatArray, ...]
-    floor: Array
+    upright: Array
 
 
 def glance(frame: Frame) -> Glance:
@@ -48,8 +59,7 @@ def glance(frame: Frame) -> Glance:
     scale = SMALL_WIDTH / max(frame.colour.shape[:2])
     small = cv2.resize(frame.colour, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     described = tuple(describe(small, turns, KEYPOINTS)[1] for turns in range(4))
-    surface = thin_surface(DepthView.of(frame, MAX_DEPTH_M), frame.colour, COARSE_VOXEL_M)
-    return Glance(described, np.array([_floor_share(surface, turns) for turns in range(4)]))
+    return Glance(described, log_softmax(upright_cues(frame) @ CUES_LOGIT))
 
 
 def quarter_turns(glances: list[Glance]) -> IntArray:
@@ -57,45 +67,77 @@ def quarter_turns(glances: list[Glance]) -> IntArray:
 
     Images are left as they were taken unless turning them is clearly better.
     """
-    votes = _relative_votes([g.descriptors for g in glances])
-    own = FLOOR_WEIGHT * np.array([g.floor for g in glances])
-    own[:, 0] += UPRIGHT_PRIOR
-    turns = _synchronise(votes, own)
-    totals = [own[np.arange(len(turns)), (turns + t) % 4].sum() for t in range(4)]
-    turns = (turns + int(np.argmax(totals))) % 4
-    as_taken = np.zeros_like(turns)
-    gain = _total(votes, own, turns) - _total(votes, own, as_taken)
-    return turns if gain > MIN_GAIN * np.count_nonzero(turns) else as_taken
-
-
-def _floor_share(surface: Surface, turns: int) -> float:
-    if len(surface.points) == 0:
-        return 0.0
-    up = upright(turns)
-    facing, height = surface.normals @ up, surface.points @ up
-    floor = (facing > FACING_COS) & (height < 0)
-    ceiling = (facing < -FACING_COS) & (height > 0)
-    return float(floor.mean() - ceiling.mean())
-
-
-def _relative_votes(descriptors: list[tuple[FloatArray, ...]]) -> FloatArray:
-    """(n, n, 4) votes for the second image being turned d times more than the first."""
-    count = len(descriptors)
+    count = len(glances)
     votes = np.zeros((count, count, 4), dtype=np.float32)
-    for i in range(count):
-        for j in range(i + 1, count):
-            found = np.array([_mutual(descriptors[i][0], descriptors[j][d]) for d in range(4)])
-            votes[i, j] = _vote(found)
-            votes[j, i] = votes[i, j][[0, 3, 2, 1]]
-    return votes
+    for i, j in itertools.combinations(range(count), 2):
+        votes[i, j] = match_votes(matches(glances[i].descriptors, glances[j].descriptors))
+        votes[j, i] = votes[i, j][[0, 3, 2, 1]]
+    return chosen_turns(votes, np.array([g.upright for g in glances]).reshape(-1, 4))
 
 
-def _vote(found: Array) -> Array:
-    """Matches per turn, worth less when the best turn hardly stands out."""
-    second, first = np.sort(found)[2:]
-    significance = (first - second) / np.sqrt(first + second + 1.0)
-    trust = min(1.0, (significance / SIGNIFICANT) ** 2)
-    return np.asarray(trust * found**2 / (found.sum() + 10.0))
+def chosen_turns(votes: FloatArray, upright: Array) -> IntArray:
+    """(n,) turns: as taken, all alike, or some against most others, whichever is likeliest.
+
+    Args:
+        votes: (n, n, 4) `match_votes` for the second image being turned d times more than the
+            first.
+        upright: (n, 4) of `Glance`.
+    """
+    everyone = np.arange(len(upright))
+    own = upright + AS_TAKEN * (np.arange(4) == 0)
+    mixed = _synchronise(votes, own)
+    common = [own[everyone, (mixed + t) % 4].sum() for t in range(4)]
+    mixed = (mixed + int(np.argmax(common))) % 4
+    alike = [np.full_like(mixed, t) for t in range(4)]
+
+    def log_odds(turns: IntArray) -> float:
+        against = len(turns) - np.bincount(turns).max()
+        price = MIN_GAIN * against if against else MIN_COMMON_GAIN * turns.any()
+        return _total(votes, upright, turns) - float(price)
+
+    return max([*alike, mixed], key=log_odds)
+
+
+def upright_cues(frame: Frame) -> Array:
+    """(4, 5) what speaks for an image needing 0, 1, 2 or 3 turns: shares of its surface that look
+    like floor and like ceiling, their square roots, and how depth grows upward."""
+    surface = thin_surface(DepthView.of(frame, MAX_DEPTH_M), frame.colour, COARSE_VOXEL_M)
+    right, down = _depth_slopes(frame.depth)
+    cues = []
+    for turns in range(4):
+        up = upright_axis(turns)
+        facing, height = surface.normals @ up, surface.points @ up
+        count = max(len(height), 1)
+        floor = ((facing > FACING_COS) & (height < 0)).sum() / count
+        ceiling = ((facing < -FACING_COS) & (height > 0)).sum() / count
+        slope = np.tanh(2.0 * (up[0] * right + up[1] * down))
+        cues.append([floor, ceiling, np.sqrt(floor), np.sqrt(ceiling), slope])
+    return np.array(cues)
+
+
+def _depth_slopes(depth: FloatArray) -> tuple[float, float]:
+    """How the logarithm of depth grows from the image's centre to its right edge and down."""
+    height, width = depth.shape
+    row, column = np.nonzero(depth > 0)
+    if len(row) < 2:
+        return 0.0, 0.0
+    logarithm = np.log(depth[row, column].astype(np.float64))
+    logarithm -= logarithm.mean()
+    x, y = 2.0 * column / width - 1.0, 2.0 * row / height - 1.0
+    return float((logarithm @ x) / (x @ x)), float((logarithm @ y) / (y @ y))
+
+
+def match_votes(found: Array) -> Array:
+    """(..., 4) log probabilities of relative turns with so many matches, weighed with how far the
+    likeliest is from a guess: what hardly stands out is the same wrong hint in many pairs."""
+    votes = log_softmax(np.stack([np.log1p(found), np.sqrt(found)], -1) @ MATCHES_LOGIT, -1)
+    likeliest = np.exp(votes.max(axis=-1, keepdims=True))
+    return np.asarray(votes * (likeliest - 0.25) / 0.75)
+
+
+def matches(first: tuple[FloatArray, ...], second: tuple[FloatArray, ...]) -> Array:
+    """(4,) mutual matches of two images if the second is turned d times more than the first."""
+    return np.array([_mutual(first[0], second[d]) for d in range(4)])
 
 
 def _mutual(a: FloatArray, b: FloatArray) -> float:
