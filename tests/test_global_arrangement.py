@@ -101,7 +101,10 @@ def core(scans: int, probability: float = 0.95) -> dict[Pair, float]:
 # Places
 
 
-def test_the_present_place_comes_first_and_no_two_are_the_same() -> None:
+def test_the_present_place_comes_first_and_no_two_are_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("fewview.global_stage.places.BEHIND", np.inf)
     placed = places_of(0, 4)
     problem = problem_of(placed, linked(placed, core(4), {(0, 3): (0, 1), (1, 3): (0, 1)}))
     state = standing(placed, [0, 0, 0, 0])
@@ -142,7 +145,8 @@ def test_hopeless_places_are_given_up_and_no_others(monkeypatch: pytest.MonkeyPa
     np.testing.assert_allclose(found.score[: worth.sum()], everything.score[worth])
 
 
-def test_scores_are_what_the_arrangement_gains() -> None:
+def test_scores_are_what_the_arrangement_gains(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fewview.global_stage.places.BEHIND", np.inf)
     placed = places_of(1, 5)
     arranging = unsettled(Planted(placed), linked(placed, {(0, 3): 0.4, (1, 2): 0.6, (2, 3): 0.3}))
     state = standing(placed, [0, 0, 2, 2, 4])
@@ -307,6 +311,13 @@ def test_components_move_as_a_whole() -> None:
     pairs = linked(placed, {(0, 1): 0.6, (2, 3): 0.6})
     solution = run(Planted(placed, said), placed, pairs)
     assert [c.scans for c in solution.components] == [(0, 1, 2, 3)]
+
+
+def test_many_who_say_little_do_not_join_two_rooms() -> None:
+    placed = places_of(8, 8, count=1)
+    little = {(i, j): np.full((1, 1), 0.5) for i in range(4) for j in range(4, 8)}
+    solution = run(Planted(placed, little, join=-3.5), placed, linked(placed, {}))
+    assert [c.scans for c in solution.components] == [(0, 1, 2, 3), (4, 5, 6, 7)]
 
 
 def test_scans_without_any_candidate_are_joined() -> None:

@@ -45,7 +45,8 @@ RIGID = 1e6
 """Strength of the links inside a node: no weak link ever runs through it."""
 
 SPEAKERS, STRONGEST = 6, 3
-"""Pairs of scans asked about the places of two nodes, and how many by their candidates."""
+"""Pairs of scans asked how a block stands to a component, or a node to another, and how many by
+their candidates."""
 
 LOOK_M = 1.5
 """What a camera looks at is this far in front of it."""
@@ -186,7 +187,10 @@ class Arranging:
         return found
 
     def _places(self, state: State, block: BoolArray) -> Places:
-        return places(self.problem, state, block, self.potentials, self.asked)
+        frames = np.unique(state.component[~block])
+        rest = (state.component == frames[:, None]) & ~block
+        heard = [speakers(self.problem, state, np.stack([block, others])) for others in rest]
+        return places(self.problem, state, block, self.potentials, np.any(heard, axis=0))
 
     def _score(self, state: State) -> float:
         joins = len(self.nodes) - len(np.unique(state.component))
@@ -219,8 +223,8 @@ class Arranging:
         return np.unique(sides[sides.any(axis=1)], axis=0)
 
 
-def speakers(problem: Problem, settled: State, nodes: BoolArray) -> BoolArray:
-    """(n, n) pairs of scans that are asked about the places of two nodes.
+def speakers(problem: Problem, state: State, nodes: BoolArray) -> BoolArray:
+    """(n, n) pairs of scans that are asked how any two of the nodes stand to each other.
 
     Of large nodes a few scans speak for all: the potential is fitted to a few, and what many say
     that show the same is said once. The pairs with the strongest candidates come first, then those
@@ -229,10 +233,11 @@ def speakers(problem: Problem, settled: State, nodes: BoolArray) -> BoolArray:
     votes = np.zeros((problem.scans, problem.scans))
     np.maximum.at(votes, (problem.source, problem.target), problem.evidence)
     votes = np.maximum(votes, votes.T)
-    seen = se3.transform(settled.pose, np.array([[0.0, 0.0, LOOK_M]]))[:, 0]
-    order = np.zeros(problem.scans)
+    seen = se3.transform(state.pose, np.array([[0.0, 0.0, LOOK_M]]))[:, 0]
+    order = np.full(problem.scans, SPEAKERS)
     for node in nodes:
-        order[_spread(seen, np.flatnonzero(node))] = np.arange(node.sum())
+        first = _spread(seen, np.flatnonzero(node), SPEAKERS)
+        order[first] = np.arange(len(first))
     asked = np.zeros_like(votes, dtype=bool)
     for one, other in itertools.combinations(nodes, 2):
         i, j = np.nonzero(np.outer(one, other))
@@ -246,11 +251,11 @@ def speakers(problem: Problem, settled: State, nodes: BoolArray) -> BoolArray:
     return np.asarray(asked | asked.T)
 
 
-def _spread(points: Array, members: IntArray) -> IntArray:
-    """The members with those first that are far from all before them, the first one stays."""
+def _spread(points: Array, members: IntArray, count: int) -> IntArray:
+    """The first ``count`` members, each far from all before it; the first one stays."""
     chosen = [0]
     gap = np.linalg.norm(points[members] - points[members[0]], axis=1)
-    for _ in range(len(members) - 1):
+    for _ in range(min(count, len(members)) - 1):
         gap[chosen] = -1.0
         chosen.append(int(np.argmax(gap)))
         gap = np.minimum(gap, np.linalg.norm(points[members] - points[members[chosen[-1]]], axis=1))

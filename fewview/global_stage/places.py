@@ -31,7 +31,7 @@ SAME_RAD = np.radians(15.0)
 SAME_M = 0.3
 """Places of a block closer than both are one place."""
 
-BEHIND = 15.0
+BEHIND = 8.0
 """A place that falls so far behind the best of its component, or behind none, is given up before
 all pairs are asked: of 270 places of 20 real scans that ended within 5, none was ever behind by
 more than 6."""
