@@ -2,11 +2,12 @@
 
     python scripts/fit_probability.py --scene FOLDER ... --check FOLDER ... [--observed]
 
-Validation scenes are generated rooms of the validation split and folders given with --scene;
-folders given with --check are never fitted to, they only show how the result carries over. Each
-room is seen twice, the second time through a sensor whose calibration is off. Beside the views of a
-room there are guests for which no candidate is right: strangers from another room, and twins from
-the mirror image of this one. With --observed no network completes the scans, and the model for
+Validation scenes are generated rooms of the validation split, corridors whose second half is the
+mirror image of the first, and folders given with --scene; folders given with --check are never
+fitted to, they only show how the result carries over. Each room and each corridor is seen twice,
+the second time through a sensor whose calibration is off. Beside the views of a room there are
+guests for which no candidate is right: strangers from another room, and twins from the mirror image
+of this one. With --observed no network completes the scans, and the model for
 scans as seen is fitted. With --without NAME ... evidence is left out, to see what it is worth;
 write that one elsewhere with --out.
 """
@@ -39,7 +40,7 @@ from fewview.matching.prepared import PreparedScan, prepare
 from fewview.pairwise import weigh_pair
 from fewview.probability import ARRAYS, ProbabilityModel
 from fewview.types import Array, Frame
-from validation_views import folder_views, strangers, twins, views
+from validation_views import corridor_views, folder_views, strangers, twins, views
 
 RIGHT_DEG, RIGHT_M = 15.0, 0.3
 SEEN = (
@@ -96,9 +97,8 @@ GUESTS, BESIDE = 2, 3
 the view that it mirrors too."""
 NOWHERE_M = 1000.0
 """Guests stand this far from the room, so that every pose between them is wrong."""
-GUEST_WEIGHT = 0.3
-"""What a pair with a guest counts: of 1, confident mistakes in mirrored corridors are rarer still,
-but scans of real sensors are doubted as well."""
+GUEST_WEIGHT = 0.1
+"""What a pair with a guest counts: of 0.3 and 1, scans of real sensors are doubted as well."""
 RIDGE, HIDDEN_RIDGE = 2.0, 10.0
 HIDDEN = 8
 START = 0.1
@@ -133,6 +133,7 @@ class Pair:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rooms", type=int, default=64)
+    parser.add_argument("--corridors", type=int, default=24)
     parser.add_argument("--views", type=int, default=8)
     parser.add_argument("--scene", type=Path, nargs="*", default=[])
     parser.add_argument("--check", type=Path, nargs="*", default=[])
@@ -150,6 +151,9 @@ def main() -> None:
     for i, warped in itertools.product(rooms, (False, True)):
         make = partial(room, i, rooms, options.views, config, warped)
         fit += cached(cache, f"room-{i}{'-warped' * warped}", make)
+    for i, warped in itertools.product(range(options.corridors), (False, True)):
+        make = partial(corridor, i, config, warped)
+        fit += cached(cache, f"corridor-{i}{'-warped' * warped}", make)
     fit += [p for f in options.scene for p in cached(cache, f.name, lambda f=f: folder(f, config))]
     check = {f.name: cached(cache, f.name, lambda f=f: folder(f, config)) for f in options.check}
     names = SEEN if options.observed else SEEN + COMPLETED
@@ -196,6 +200,13 @@ def room(index: int, rooms: range, count: int, config: Config, warped: bool) -> 
     nowhere = se3.pose(np.eye(3), np.array([NOWHERE_M, 0.0, 0.0]))
     where = np.concatenate([poses, np.tile(nowhere, (len(guests), 1, 1))])
     yield from weighed(f"room-{index}", every, where, pairs, config)
+
+
+def corridor(index: int, config: Config, warped: bool) -> Iterator[Pair]:
+    """Views of a corridor whose halves look alike, all pairs of them."""
+    frames, poses = corridor_views(index, warped)
+    pairs = list(itertools.combinations(range(len(frames)), 2))
+    yield from weighed(f"corridor-{index}", frames, poses, pairs, config)
 
 
 def folder(path: Path, config: Config) -> Iterator[Pair]:
@@ -317,6 +328,7 @@ def stored(
             "model": f"conditional logit, ridge {RIDGE}, {HIDDEN} hidden, ridge {HIDDEN_RIDGE}",
             "right_within": {"deg": RIGHT_DEG, "m": RIGHT_M},
             "rooms": options.rooms,
+            "corridors": options.corridors,
             "views_per_room": options.views,
             "scenes": [f.name for f in options.scene],
             "checked_on": [f.name for f in options.check],

@@ -10,6 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benchmark.ambiguity import look_alike
+from benchmark.corridors import Likeness
 from fewview import scans as readers
 from fewview import synthetic
 from fewview.errors import FewviewError
@@ -18,6 +20,11 @@ from fewview.types import Array, FloatArray, Frame
 MOST_WARPED, WARPED_AT_M = 0.04, 3.0
 """Standard deviation of the relative error of depth that a room's sensor has at most, and at which
 depth: measured surfaces of Kinects and Xtions are bent by centimetres, generated ones are not."""
+
+FIRST_CORRIDOR = 200
+"""Seed of the first corridor that is fitted to; those before it are for tests."""
+EACH, MIDDLE = 3, 2
+"""Views of either half of a corridor, and of its middle in every second one."""
 
 MOST_FRAMES = 24
 """Of a folder, spread evenly over it."""
@@ -31,11 +38,14 @@ def views(index: int, count: int, mode: str = "random", warped: bool = False) ->
     through one whose calibration is off."""
     scene = synthetic.generate(synthetic.split_seed("validation", index), count, index, mode)
     frames, poses = list(scene.frames), np.stack([scene.poses[name] for name in scene.names])
-    if warped:
-        rng = np.random.default_rng(index)
-        coarse = rng.uniform(0.0, MOST_WARPED) * rng.standard_normal((4, 5))
-        frames = [replace(frame, depth=_warped(frame.depth, coarse)) for frame in frames]
-    return frames, poses
+    return _through(index, frames, warped), poses
+
+
+def corridor_views(index: int, warped: bool = False) -> Views:
+    """What cameras see in a corridor whose second half is the mirror image of the first."""
+    seed, middle = FIRST_CORRIDOR + index, MIDDLE * (index % 2)
+    seen = look_alike(Likeness.MIRRORED, EACH, middle, seed)
+    return _through(index, [scan.load() for scan in seen.scans.scans], warped), seen.truth
 
 
 def folder_views(path: Path) -> Views:
@@ -45,6 +55,15 @@ def folder_views(path: Path) -> Views:
     chosen = np.linspace(0, len(known) - 1, min(MOST_FRAMES, len(known))).astype(int)
     frames = [known[i].load() for i in chosen]
     return frames, np.stack([truth[known[i].name] for i in chosen])
+
+
+def _through(index: int, frames: list[Frame], warped: bool) -> list[Frame]:
+    """Frames as the sensor of a scene gives them."""
+    if not warped:
+        return frames
+    rng = np.random.default_rng(index)
+    coarse = rng.uniform(0.0, MOST_WARPED) * rng.standard_normal((4, 5))
+    return [replace(frame, depth=_warped(frame.depth, coarse)) for frame in frames]
 
 
 def _warped(depth: FloatArray, coarse: Array) -> FloatArray:

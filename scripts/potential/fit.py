@@ -15,9 +15,12 @@ from fewview.together import PotentialModel
 from fewview.types import Array
 from potential.samples import QUANTITIES, RIGHT_DEG, RIGHT_M, Sample
 
-HIDDEN, RIDGE, HIDDEN_RIDGE, WEIGHT = 12, 2.0, 5.0, 0.3
-"""Inner units; ridges on outer and inner coefficients; what a sample counts, as the samples of a
-set share their scans."""
+HIDDEN, RIDGE, HIDDEN_RIDGE = 12, 2.0, 5.0
+"""Inner units; ridges on outer and inner coefficients."""
+WEIGHT, WARPED_WEIGHT, STRANGERS_WEIGHT = 0.3, 0.3, 2.0
+"""What a sample counts, as the samples of a set share their scans; how much less if a warped sensor
+saw them, which teaches to forgive, and how much more if there are strangers: two rooms in one
+folder are not to come out as one."""
 START, ITERATIONS = 0.1, 400
 
 
@@ -41,6 +44,7 @@ def fitted(samples: Sequence[Sample]) -> PotentialModel:
     start[: d + 1] = start[-1] = 0.0
     f = torch.from_numpy(model(start).pair.standard(rows))
     place, there, right = _places(samples)
+    weight = torch.tensor([_weight(s) for s in samples], dtype=f.dtype)
 
     def loss(values: Array) -> tuple[float, Array]:
         parameters = torch.from_numpy(values).requires_grad_()
@@ -48,7 +52,7 @@ def fitted(samples: Sequence[Sample]) -> PotentialModel:
         potential = f @ w + b + torch.tanh(f @ u.T + c) @ v
         z = torch.zeros(there.numel(), dtype=f.dtype).index_add(0, place, potential) + join
         z = nn.functional.pad(z.view_as(there).masked_fill(~there, -torch.inf), (1, 0))
-        error = WEIGHT * nn.functional.cross_entropy(z, right, reduction="sum")
+        error = weight @ nn.functional.cross_entropy(z, right, reduction="none")
         error = error + RIDGE * w.square().sum() + HIDDEN_RIDGE * (u.square().sum() + v @ v)
         (slope,) = torch.autograd.grad(error, parameters)
         return error.item(), slope.numpy()
@@ -88,6 +92,11 @@ def probabilities(model: PotentialModel, sample: Sample) -> Array:
     """(1 + K,) of none and of each place."""
     z = np.append(0.0, log_odds(model, sample))
     return np.asarray(np.exp(z - np.logaddexp.reduce(z)))
+
+
+def _weight(sample: Sample) -> float:
+    strangers = STRANGERS_WEIGHT if "strangers" in sample.kind else 1.0
+    return WEIGHT * strangers * (WARPED_WEIGHT if sample.warped else 1.0)
 
 
 def _right_place(sample: Sample) -> int:

@@ -50,6 +50,8 @@ QUANTITIES = (
     "facing",
     "distance",
 )
+WARPED = "-warped"
+"""Ends the name of a scene that is seen through a sensor whose calibration is off."""
 PARTS = ("quantities", "turns_deg", "shifts_m", "drawn")
 """Arrays of a sample."""
 
@@ -76,7 +78,8 @@ class Sample:
     """A block of scans beside others that stand right.
 
     Attributes:
-        scene: where; kind: of set, and how many scans stand beside how many.
+        scene: where; warped: whether through a sensor whose calibration is off.
+        kind: of set, and how many scans stand beside how many.
         quantities: (m, K, d) of the m pairs that each of K places creates.
         turns_deg, shifts_m: (K,) how far each place is from the true one.
         drawn: (K,) log probability that the aligner gives to each place of scans drawn as one; 0
@@ -84,6 +87,7 @@ class Sample:
     """
 
     scene: str
+    warped: bool
     kind: str
     quantities: Array
     turns_deg: Array
@@ -116,9 +120,14 @@ def cached(cache: Path, name: str, make: Callable[[], Matched]) -> list[Sample]:
     with np.load(path) as kept:
         heads = dict.fromkeys(name.rpartition("/")[0] for name in kept.files)
         return [
-            Sample(name, head.split("/")[1], *(kept[f"{head}/{part}"] for part in PARTS))
+            Sample(*seen(name), head.split("/")[1], *(kept[f"{head}/{part}"] for part in PARTS))
             for head in heads
         ]
+
+
+def seen(name: str) -> tuple[str, bool]:
+    """The scene of a name, and whether it is seen through a sensor whose calibration is off."""
+    return name.removesuffix(WARPED), name.endswith(WARPED)
 
 
 def samples_of(name: str, scene: Matched) -> Iterator[Sample]:
@@ -175,7 +184,7 @@ def sample_of(
     true = scene.poses[moved[0]]
     turn, shift = se3.distance(motions @ true, true)
     return Sample(
-        name,
+        *seen(name),
         f"{kind}, {len(moved)} beside {len(beside)}",
         np.stack(asked),
         np.where(guest, 180.0, np.degrees(turn)),

@@ -17,12 +17,12 @@ from fewview.geometry.camera import backproject
 from fewview.matching.prepared import PreparedScan, prepare
 from fewview.pairwise import match_pair
 from fewview.types import Array, Frame, PairResult
-from validation_views import Views, folder_views, strangers, twins, views
+from validation_views import Views, corridor_views, folder_views, strangers, twins, views
 
 VIEWS, SIZE, MAX_OVERLAP = 16, 5, 0.1
 EXTREME_SETS, RANDOM_SETS = 2, 1
 GUESTS, ROOMS_ASKED = 2, 9
-SETS_OF_A_FOLDER = (6, 4)
+SETS_OF_A_FOLDER, SETS_OF_A_CORRIDOR = (6, 4), 2
 
 
 @dataclass(frozen=True)
@@ -52,14 +52,19 @@ class Matched:
         return self._pairs[i, j]
 
 
-def room(index: int) -> Matched:
+def room(index: int, warped: bool) -> Matched:
     """A generated room of the validation split, strangers from the next that has a place, twins."""
-    frames, poses = views(index, VIEWS)
+    frames, poses = views(index, VIEWS, warped=warped)
     guests = {
-        "strangers": strangers(range(index + 1, index + ROOMS_ASKED), GUESTS),
+        "strangers": strangers(range(index + 1, index + ROOMS_ASKED), GUESTS, warped),
         "twins": twins(frames[:GUESTS], poses[:GUESTS]),
     }
     return matched(frames, poses, EXTREME_SETS, RANDOM_SETS, index, guests)
+
+
+def corridor(index: int, warped: bool) -> Matched:
+    """A corridor whose halves look alike."""
+    return matched(*corridor_views(index, warped), 0, SETS_OF_A_CORRIDOR, index)
 
 
 def folder(path: Path) -> Matched:
@@ -103,12 +108,12 @@ def apart(overlap: Array, count: int, rng: np.random.Generator) -> list[list[int
     """Sets of views no two of which share more than `MAX_OVERLAP`."""
     found: list[list[int]] = []
     for _ in range(300):
+        if len(found) == count:
+            break
         chosen: list[int] = []
         for i in rng.permutation(len(overlap)).tolist():
             if len(chosen) < SIZE and all(overlap[i, j] <= MAX_OVERLAP for j in chosen):
                 chosen.append(i)
         if len(chosen) == SIZE and all(len({*chosen} & {*other}) < SIZE - 1 for other in found):
             found.append(sorted(chosen))
-        if len(found) == count:
-            break
     return found
