@@ -145,13 +145,11 @@ def turned_wrongly(scenes: Sequence[Images]) -> dict[str, float]:
 def found_turns(scene: Images, chosen: IntArray, turns: IntArray) -> IntArray:
     """The turns that are found for some images that need them."""
     own = log_softmax(scene.cues[chosen] @ CUES_LOGIT, axis=1)
-    votes = np.zeros((len(chosen), len(chosen), 4), dtype=np.float32)
-    for i, j in itertools.combinations(range(len(chosen)), 2):
-        told = np.roll(scene.matches[chosen[i], chosen[j]], turns[j] - turns[i])
-        votes[i, j] = match_votes(told)
-        votes[j, i] = votes[i, j][[0, 3, 2, 1]]
     turned = [np.roll(row, turn) for row, turn in zip(own, turns, strict=True)]
-    return chosen_turns(votes, np.stack(turned))
+    found = np.zeros((len(chosen), len(chosen), 4))
+    for i, j in itertools.combinations(range(len(chosen)), 2):
+        found[i, j] = np.roll(scene.matches[chosen[i], chosen[j]], turns[j] - turns[i])
+    return chosen_turns(match_votes(found), np.stack(turned))
 
 
 if __name__ == "__main__":

@@ -31,8 +31,9 @@ from fewview.config import Config
 from fewview.together import PotentialModel, potential_from
 from potential.fit import HIDDEN, HIDDEN_RIDGE, RIDGE, fitted, with_drawings
 from potential.report import Json, held_out, told
-from potential.samples import RIGHT_DEG, RIGHT_M, WARPED, Sample, cached
+from potential.samples import RIGHT_DEG, RIGHT_M, Sample, cached
 from potential.scenes import Matched, corridor, folder, room
+from validation_views import WARPED
 
 FIRST_ROOM = 64
 """Of the validation split; those before it made the candidates' probabilities."""

@@ -40,7 +40,7 @@ from fewview.matching.prepared import PreparedScan, prepare
 from fewview.pairwise import weigh_pair
 from fewview.probability import ARRAYS, ProbabilityModel
 from fewview.types import Array, Frame
-from validation_views import corridor_views, folder_views, strangers, twins, views
+from validation_views import WARPED, corridor_views, folder_views, strangers, twins, views
 
 RIGHT_DEG, RIGHT_M = 15.0, 0.3
 SEEN = (
@@ -150,10 +150,10 @@ def main() -> None:
     fit = []
     for i, warped in itertools.product(rooms, (False, True)):
         make = partial(room, i, rooms, options.views, config, warped)
-        fit += cached(cache, f"room-{i}{'-warped' * warped}", make)
+        fit += cached(cache, f"room-{i}{WARPED * warped}", make)
     for i, warped in itertools.product(range(options.corridors), (False, True)):
         make = partial(corridor, i, config, warped)
-        fit += cached(cache, f"corridor-{i}{'-warped' * warped}", make)
+        fit += cached(cache, f"corridor-{i}{WARPED * warped}", make)
     fit += [p for f in options.scene for p in cached(cache, f.name, lambda f=f: folder(f, config))]
     check = {f.name: cached(cache, f.name, lambda f=f: folder(f, config)) for f in options.check}
     names = SEEN if options.observed else SEEN + COMPLETED

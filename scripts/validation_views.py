@@ -21,6 +21,9 @@ MOST_WARPED, WARPED_AT_M = 0.04, 3.0
 """Standard deviation of the relative error of depth that a room's sensor has at most, and at which
 depth: measured surfaces of Kinects and Xtions are bent by centimetres, generated ones are not."""
 
+WARPED = "-warped"
+"""Ends the name of a scene that is seen through a sensor whose calibration is off."""
+
 FIRST_CORRIDOR = 200
 """Seed of the first corridor that is fitted to; those before it are for tests."""
 EACH, MIDDLE = 3, 2

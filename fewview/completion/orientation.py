@@ -68,19 +68,17 @@ def quarter_turns(glances: list[Glance]) -> IntArray:
     Images are left as they were taken unless turning them is clearly better.
     """
     count = len(glances)
-    votes = np.zeros((count, count, 4), dtype=np.float32)
+    found = np.zeros((count, count, 4))
     for i, j in itertools.combinations(range(count), 2):
-        votes[i, j] = match_votes(matches(glances[i].descriptors, glances[j].descriptors))
-        votes[j, i] = votes[i, j][[0, 3, 2, 1]]
-    return chosen_turns(votes, np.array([g.upright for g in glances]).reshape(-1, 4))
+        found[i, j] = matches(glances[i].descriptors, glances[j].descriptors)
+    return chosen_turns(match_votes(found), np.array([g.upright for g in glances]).reshape(-1, 4))
 
 
 def chosen_turns(votes: FloatArray, upright: Array) -> IntArray:
     """(n,) turns: as taken, all alike, or some against most others, whichever is likeliest.
 
     Args:
-        votes: (n, n, 4) `match_votes` for the second image being turned d times more than the
-            first.
+        votes: (n, n, 4) `match_votes` of all pairs.
         upright: (n, 4) of `Glance`.
     """
     everyone = np.arange(len(upright))
@@ -127,12 +125,19 @@ def _depth_slopes(depth: FloatArray) -> tuple[float, float]:
     return float((logarithm @ x) / (x @ x)), float((logarithm @ y) / (y @ y))
 
 
-def match_votes(found: Array) -> Array:
-    """(..., 4) log probabilities of relative turns with so many matches, weighed with how far the
-    likeliest is from a guess: what hardly stands out is the same wrong hint in many pairs."""
+def match_votes(found: Array) -> FloatArray:
+    """(n, n, 4) log probabilities that the second image is turned d times more than the first,
+    weighed with how far the likeliest is from a guess: what hardly stands out is the same wrong
+    hint in many pairs.
+
+    Args:
+        found: (n, n, 4) `matches` of images and later ones; the rest is not looked at.
+    """
     votes = log_softmax(np.stack([np.log1p(found), np.sqrt(found)], -1) @ MATCHES_LOGIT, -1)
-    likeliest = np.exp(votes.max(axis=-1, keepdims=True))
-    return np.asarray(votes * (likeliest - 0.25) / 0.75)
+    votes *= (np.exp(votes.max(axis=-1, keepdims=True)) - 0.25) / 0.75
+    forward = np.where(np.triu(np.ones(votes.shape[:2], dtype=bool), 1)[..., None], votes, 0.0)
+    backward = forward.swapaxes(0, 1)[..., [0, 3, 2, 1]]
+    return np.asarray(forward + backward, dtype=np.float32)
 
 
 def matches(first: tuple[FloatArray, ...], second: tuple[FloatArray, ...]) -> Array:

@@ -230,9 +230,7 @@ def speakers(problem: Problem, state: State, nodes: BoolArray) -> BoolArray:
     that show the same is said once. The pairs with the strongest candidates come first, then those
     of scans that look at different places; a veto is always heard.
     """
-    votes = np.zeros((problem.scans, problem.scans))
-    np.maximum.at(votes, (problem.source, problem.target), problem.evidence)
-    votes = np.maximum(votes, votes.T)
+    votes = problem.strongest
     seen = se3.transform(state.pose, np.array([[0.0, 0.0, LOOK_M]]))[:, 0]
     order = np.full(problem.scans, SPEAKERS)
     for node in nodes:

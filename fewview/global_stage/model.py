@@ -85,6 +85,13 @@ class Problem:
         """(m, 4, 4) source_T_target."""
         return se3.inverse(self.motion)
 
+    @cached_property
+    def strongest(self) -> Array:
+        """(n, n) symmetric: evidence of the strongest candidate of each pair of scans, or 0."""
+        out = np.zeros((self.scans, self.scans))
+        np.maximum.at(out, (self.source, self.target), self.evidence)
+        return np.maximum(out, out.T)
+
 
 def build(
     scans: int, pairs: Sequence[PairResult], config: GlobalConfig, fixed: Collection[int] = ()

@@ -19,6 +19,7 @@ from fewview.probability import ProbabilityModel
 from fewview.together import VOTES, PotentialModel, Together, pair_quantities
 from fewview.types import Array, BoolArray
 from potential.scenes import SIZE, Matched
+from validation_views import WARPED
 
 BLOCKS = 2
 BESIDE = {
@@ -50,8 +51,6 @@ QUANTITIES = (
     "facing",
     "distance",
 )
-WARPED = "-warped"
-"""Ends the name of a scene that is seen through a sensor whose calibration is off."""
 PARTS = ("quantities", "turns_deg", "shifts_m", "drawn")
 """Arrays of a sample."""
 
