@@ -42,7 +42,7 @@ def main() -> None:
         for name in options.methods
     }
     run_sets([task for own in tasks.values() for task in own], options.jobs)
-    results = results_of(tasks, [s for _, s in sets])
+    results = results_of(tasks, sets, options.cache)
     where = f"{dataset.name}, scenes: {len({s.name for s, _ in sets})}, seed {options.seed}"
     tables = tables_of(results, where)
     if options.mesh:

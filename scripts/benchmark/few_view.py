@@ -18,12 +18,14 @@ from benchmark.sets import (
     SPARSE_COUNT,
     FrameSet,
     frame_sets,
+    largest_overlaps,
     random_counts,
 )
 from benchmark.store import Record
 from benchmark.table import Table
 from benchmark.tasks import SetTask
 from fewview.evaluation.mesh import MeshErrors
+from fewview.evaluation.overlap import CLASSES, overlap_class
 
 Json = dict[str, Any]
 KINDS_NOTE = f"which sets: {', '.join(KINDS)}"
@@ -35,6 +37,10 @@ ERRORS_NOTE = (
 LEFT_NOTE = (
     "Cells: unplaced scans / scans in the largest group that agrees / wrong scans with a stated "
     "probability above 0.5 / sets in which the method broke down, of all scans; CPU seconds a set."
+)
+OVERLAP_NOTE = (
+    "Cells: share of scans within 15 degrees and 0.3 m, by the largest true overlap of a scan with "
+    "another of its set; number of scans."
 )
 MESH_NOTE = (
     "Accuracy / completeness at 5 cm against the true surface of the whole room, same fusion for "
@@ -110,12 +116,15 @@ def mesh_table(results: Json, where: str) -> Table:
     return Table(f"Meshes, {where}", MESH_NOTE, head, rows)
 
 
-def results_of(tasks: Mapping[str, Sequence[SetTask]], sets: Sequence[FrameSet]) -> Json:
+def results_of(
+    tasks: Mapping[str, Sequence[SetTask]], sets: Sequence[tuple[Scene, FrameSet]], cache: Path
+) -> Json:
     """Rows of every method and set, and their means by kind and size."""
+    overlaps = [largest_overlaps(scene, one.names, cache) for scene, one in sets]
     rows = [
-        {"method": name, "kind": one.kind, "set": one.id, **set_row(task)}
+        {"method": name, "kind": one.kind, "set": one.id, **set_row(task, largest)}
         for name, own in tasks.items()
-        for task, one in zip(own, sets, strict=True)
+        for task, (_, one), largest in zip(own, sets, overlaps, strict=True)
     ]
     groups = dict.fromkeys((row["method"], row["kind"], row["size"]) for row in rows)
     summary = [
@@ -130,7 +139,8 @@ def results_of(tasks: Mapping[str, Sequence[SetTask]], sets: Sequence[FrameSet])
 
 
 def tables_of(results: Json, where: str) -> list[Table]:
-    """Errors, and what was left out, a kind of sets each; a column a size."""
+    """Errors, and what was left out, a column a size; and what is right by overlap, a column a
+    class; for each kind of sets."""
     tables = []
     for kind in dict.fromkeys(group["kind"] for group in results["summary"]):
         groups = [g for g in results["summary"] if g["kind"] == kind]
@@ -146,7 +156,24 @@ def tables_of(results: Json, where: str) -> list[Table]:
             errors += [[label, *cells] for label, cells in PAPER.items()]
         tables.append(Table(f"{kind} sets, {where}", ERRORS_NOTE, head, errors))
         tables.append(Table(f"{kind} sets, {where}: what was left out", LEFT_NOTE, head, left))
+        own_rows = [row for row in results["rows"] if row["kind"] == kind]
+        tables.append(_overlap_table(own_rows, f"{kind} sets, {where}: by overlap"))
     return tables
+
+
+def _overlap_table(rows: Sequence[Json], title: str) -> Table:
+    """What is right of the scans of a class, a column a class and a row a method and size."""
+    classes = [name for _, name in CLASSES]
+    lines = []
+    for size, method in dict.fromkeys((row["size"], row["method"]) for row in rows):
+        own = [r for r in rows if (r["size"], r["method"]) == (size, method)]
+        right: dict[str, list[bool]] = {name: [] for name in classes}
+        for scan in (scan for row in own for scan in row["scans"]):
+            right[overlap_class(scan["overlap"])].append(scan["right"])
+        cells = [f"{sum(r) / len(r):.2f}; {len(r)}" if r else "" for r in right.values()]
+        lines.append([f"{size} scans, {MULTI_METHODS[method].label}", *cells])
+    lines.sort(key=lambda line: int(line[0].split()[0]))
+    return Table(title, OVERLAP_NOTE, ["", *classes], lines)
 
 
 def _errors(group: Json) -> str:

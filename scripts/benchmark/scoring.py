@@ -94,8 +94,9 @@ def best_ranks(rows: Sequence[Json], k: int = 5) -> Json:
     return {"answered": len(best), "of": len(rows), "shares": shares.tolist()}
 
 
-def set_row(task: SetTask) -> Json:
-    """Errors of one multi-scan method on one set, after one gauge alignment."""
+def set_row(task: SetTask, overlap: Mapping[str, float]) -> Json:
+    """Errors of one multi-scan method on one set, after one gauge alignment; beside each scan its
+    largest ``overlap`` with another of the set."""
     record: Record[list[Placement | None]] = task.store.read(task.path)
     placements = record.answer or [None] * len(task.names)
     truth = np.stack([task.scene.truth[name] for name in task.names])
@@ -111,6 +112,8 @@ def set_row(task: SetTask) -> Json:
                 "rotation_deg": float(errors.rotation_deg[i]),
                 "translation_m": float(errors.translation_m[i]),
                 "right": bool(right[i]),
+                "agreeing": bool(errors.agreeing[i]),
+                "overlap": overlap[name],
                 "probability": _probability(placements[i]),
             }
             for i, name in enumerate(task.names)
@@ -137,6 +140,9 @@ def summarise_sets(rows: Sequence[Json]) -> Json:
         "broken": sum(row["error"] is not None for row in rows),
         "cpu_seconds": _mean(rows, "cpu_seconds"),
         "calibration": calibration_of(told),
+        "calibration_in_component": calibration_of(
+            [{**scan, "right": scan["agreeing"]} for scan in told]
+        ),
     }
 
 

@@ -100,6 +100,12 @@ def overlaps_by_name(
     return {(a, b): float(matrix[row[a], row[b]]) for a in names for b in names if a < b}
 
 
+def largest_overlaps(scene: Scene, names: Sequence[str], cache: Path) -> dict[str, float]:
+    """For each scan of a set its largest true overlap with another of them."""
+    pairs = overlaps_by_name(scene, names, cache)
+    return {name: max(share for pair, share in pairs.items() if name in pair) for name in names}
+
+
 def _numbered(kind: str, drawn: Sequence[tuple[str, ...]]) -> list[FrameSet]:
     seen: Counter[int] = Counter()
     found = []

@@ -18,7 +18,7 @@ from benchmark.methods.interface import Answer, Candidate, PairMethod, Placement
 from benchmark.pairs import Pair
 from benchmark.run import run
 from benchmark.scenes import Scene
-from benchmark.sets import FrameSet
+from benchmark.sets import FrameSet, largest_overlaps
 from benchmark.store import Record, Store
 from benchmark.table import Table, write
 from benchmark.tasks import PairTask, SetTask, run_sets
@@ -120,7 +120,7 @@ class TestSets:
         record: Record[list[Placement | None]] = task.store.read(task.path)
         assert record.answer is not None and len(record.answer) == len(scene.names)
         assert len(task.pairs()) == 6
-        row = scoring.set_row(task)
+        row = scoring.set_row(task, dict.fromkeys(scene.names, 0.5))
         assert row["error"] is None and len(row["scans"]) == 4
         assert not any(scan["right"] for scan in row["scans"][1:]) or row["agreeing"] > 1
 
@@ -137,9 +137,20 @@ class TestSets:
         sets = [FrameSet("random", 0, scene.names), FrameSet("random", 0, scene.names[:3])]
         tasks = {"identity": [SetTask(store, method, scene, one.names) for one in sets]}
         run_sets(tasks["identity"], 1)
-        errors, left = few_view.tables_of(few_view.results_of(tasks, sets), "here")
+        placed = [(scene, one) for one in sets]
+        results = few_view.results_of(tasks, placed, tmp_path)
+        errors, left, overlaps = few_view.tables_of(results, "here")
         assert errors.head == ["method", "3 scans (1 sets)", "4 scans (1 sets)"]
         assert [row[0] for row in errors.rows] == [row[0] for row in left.rows] == ["identity"]
+        assert [row[0] for row in overlaps.rows] == ["3 scans, identity", "4 scans, identity"]
+        for row, size in zip(overlaps.rows, (3, 4), strict=True):
+            assert sum(int(cell.split(";")[1]) for cell in row[1:] if cell) == size
+
+    def test_the_largest_overlap_is_with_another_scan(self, scene: Scene, tmp_path: Path) -> None:
+        found = largest_overlaps(scene, scene.names, tmp_path)
+        matrix = scene.overlaps(tmp_path)
+        np.fill_diagonal(matrix, 0.0)
+        assert list(found.values()) == pytest.approx(matrix.max(axis=1))
 
 
 class TestTable:
