@@ -71,14 +71,14 @@ def calibration_error(bins: Sequence[Bin]) -> float:
     return gap / total if total else 0.0
 
 
-def calibration_of(rows: Sequence[Json]) -> Json | None:
-    """Reliability of the rows that carry a ``probability``, by their ``right``; None when none
-    does."""
+def calibration_of(rows: Sequence[Json], came_true: str = "right") -> Json | None:
+    """Reliability of the rows that carry a ``probability``, by whether what it was said of came
+    true (a key of the rows); None when none does."""
     told = [row for row in rows if row.get("probability") is not None]
     if not told:
         return None
     bins = reliability(
-        np.array([row["probability"] for row in told]), np.array([row["right"] for row in told])
+        np.array([row["probability"] for row in told]), np.array([row[came_true] for row in told])
     )
     return {
         "count": len(told),

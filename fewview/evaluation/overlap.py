@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -10,6 +11,7 @@ from scipy.spatial import KDTree
 from fewview.geometry import se3
 from fewview.types import Array
 
+Json = dict[str, Any]
 NEIGHBOUR_M = 0.05
 """A point is shared when the other scan has one within this distance."""
 THIN_M = 0.01
@@ -92,3 +94,11 @@ def overlap_matrix(clouds: Iterable[Array], world_T_scan: Array) -> Array:
 def overlap_class(value: float) -> str:
     """The name of the class that an overlap 0..1 falls into."""
     return next(name for bound, name in CLASSES if value < bound)
+
+
+def by_class(rows: Sequence[Json]) -> dict[str, list[Json]]:
+    """Rows by the class of their ``overlap``, lowest first; classes without rows are left out."""
+    members = {
+        name: [row for row in rows if overlap_class(row["overlap"]) == name] for _, name in CLASSES
+    }
+    return {name: found for name, found in members.items() if found}

@@ -16,7 +16,7 @@ from fewview.evaluation.metrics import (
     translation_error_m,
     within,
 )
-from fewview.evaluation.overlap import CLASSES, overlap_class
+from fewview.evaluation.overlap import by_class
 from fewview.types import Array
 
 Json = dict[str, Any]
@@ -71,11 +71,8 @@ def summarise_pairs(rows: Sequence[Json]) -> Json:
     ``recall``, and is counted in ``without_candidates``.
     """
     summary = _summary(rows)
-    known = [row for row in rows if "overlap" in row]
-    groups = {
-        name: [row for row in known if overlap_class(row["overlap"]) == name] for _, name in CLASSES
-    }
-    summary["by_overlap"] = {name: _summary(group) for name, group in groups.items() if group}
+    known = by_class([row for row in rows if "overlap" in row])
+    summary["by_overlap"] = {name: _summary(group) for name, group in known.items()}
     return summary
 
 

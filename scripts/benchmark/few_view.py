@@ -25,7 +25,7 @@ from benchmark.store import Record
 from benchmark.table import Table
 from benchmark.tasks import SetTask
 from fewview.evaluation.mesh import MeshErrors
-from fewview.evaluation.overlap import CLASSES, overlap_class
+from fewview.evaluation.overlap import CLASSES
 
 Json = dict[str, Any]
 KINDS_NOTE = f"which sets: {', '.join(KINDS)}"
@@ -156,23 +156,18 @@ def tables_of(results: Json, where: str) -> list[Table]:
             errors += [[label, *cells] for label, cells in PAPER.items()]
         tables.append(Table(f"{kind} sets, {where}", ERRORS_NOTE, head, errors))
         tables.append(Table(f"{kind} sets, {where}: what was left out", LEFT_NOTE, head, left))
-        own_rows = [row for row in results["rows"] if row["kind"] == kind]
-        tables.append(_overlap_table(own_rows, f"{kind} sets, {where}: by overlap"))
+        tables.append(_overlap_table(groups, f"{kind} sets, {where}: by overlap"))
     return tables
 
 
-def _overlap_table(rows: Sequence[Json], title: str) -> Table:
-    """What is right of the scans of a class, a column a class and a row a method and size."""
+def _overlap_table(groups: Sequence[Json], title: str) -> Table:
+    """What is right of the scans of a class, a column a class and a row a size and method."""
     classes = [name for _, name in CLASSES]
     lines = []
-    for size, method in dict.fromkeys((row["size"], row["method"]) for row in rows):
-        own = [r for r in rows if (r["size"], r["method"]) == (size, method)]
-        right: dict[str, list[bool]] = {name: [] for name in classes}
-        for scan in (scan for row in own for scan in row["scans"]):
-            right[overlap_class(scan["overlap"])].append(scan["right"])
-        cells = [f"{sum(r) / len(r):.2f}; {len(r)}" if r else "" for r in right.values()]
-        lines.append([f"{size} scans, {MULTI_METHODS[method].label}", *cells])
-    lines.sort(key=lambda line: int(line[0].split()[0]))
+    for group in sorted(groups, key=lambda group: group["size"]):
+        own = group["by_overlap"]
+        cells = [f"{own[c]['right']:.2f}; {own[c]['scans']}" if c in own else "" for c in classes]
+        lines.append([f"{group['size']} scans, {MULTI_METHODS[group['method']].label}", *cells])
     return Table(title, OVERLAP_NOTE, ["", *classes], lines)
 
 

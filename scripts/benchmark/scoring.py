@@ -14,6 +14,7 @@ from benchmark.tasks import PairTask, SetTask
 from fewview.evaluation.calibration import calibration_of
 from fewview.evaluation.gauge import absolute_errors
 from fewview.evaluation.metrics import within
+from fewview.evaluation.overlap import by_class
 from fewview.evaluation.pairs import score_pairs, summarise_pairs
 
 Json = dict[str, Any]
@@ -140,9 +141,11 @@ def summarise_sets(rows: Sequence[Json]) -> Json:
         "broken": sum(row["error"] is not None for row in rows),
         "cpu_seconds": _mean(rows, "cpu_seconds"),
         "calibration": calibration_of(told),
-        "calibration_in_component": calibration_of(
-            [{**scan, "right": scan["agreeing"]} for scan in told]
-        ),
+        "calibration_in_component": calibration_of(told, "agreeing"),
+        "by_overlap": {
+            name: {"scans": len(members), "right": _mean(members, "right")}
+            for name, members in by_class(scans).items()
+        },
     }
 
 
