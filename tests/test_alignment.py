@@ -16,7 +16,7 @@ from fewview.alignment import (
 )
 from fewview.alignment.align import NEVER
 from fewview.alignment.drawing import CHANNELS, OBSERVED, PREDICTED, Drawing
-from fewview.alignment.network import GRID, SHIFTS, STEP_M, YAWS, Spectra, shifts
+from fewview.alignment.network import GRID, SHIFTS, STEP_M, YAWS, Spectra, shifts, spectrum
 from fewview.completion.layout.grid import CELL_M, CELLS
 from fewview.geometry import se3
 
@@ -34,10 +34,7 @@ def embedded(spot: tuple[int, int]) -> Embedded:
     maps = torch.zeros(1, YAWS, 1, GRID, GRID)
     maps[..., spot[0], spot[1]] = 100.0
     turned = torch.stack([torch.rot90(maps[:, k], k, (2, 3)) for k in range(YAWS)], dim=1)
-    size = (SHIFTS, SHIFTS)
-    return Embedded(
-        EMPTY, Spectra(torch.fft.rfft2(turned, size), torch.fft.rfft2(maps[:, 0], size))
-    )
+    return Embedded(EMPTY, Spectra(spectrum(turned), spectrum(maps[:, 0])))
 
 
 def drawing(seed: int, seen: slice = slice(None)) -> Drawing:
@@ -88,6 +85,17 @@ def test_the_logit_of_a_shift_is_the_sum_of_products(network: AlignerNetwork) ->
     logits = network.logits(source, torch.fft.rfft2(maps[1:], size)) / network.log_scale.exp()
     by_hand = (maps[0, :, :-2, 5:] * maps[1, :, 2:, :-5]).sum()
     torch.testing.assert_close(logits[0, 0, 0, 2, SHIFTS - 5], by_hand, rtol=1e-3, atol=1e-2)
+
+
+def test_a_spectrum_and_its_gradient_are_those_of_torch() -> None:
+    planes = torch.randn(2, 3, GRID, GRID, generator=torch.Generator().manual_seed(0))
+    found, expected = (planes.clone().requires_grad_() for _ in range(2))
+    ours, theirs = spectrum(found), torch.fft.rfft2(expected, (SHIFTS, SHIFTS))
+    torch.testing.assert_close(ours, theirs)
+    way = torch.randn(*ours.shape, dtype=ours.dtype, generator=torch.Generator().manual_seed(1))
+    for transform in (ours, theirs):
+        (transform * way).real.sum().backward()
+    torch.testing.assert_close(found.grad, expected.grad, rtol=1e-4, atol=1e-3)
 
 
 def test_the_best_pose_lays_the_spots_over_each_other(network: AlignerNetwork) -> None:

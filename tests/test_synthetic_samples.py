@@ -22,6 +22,7 @@ from fewview.synthetic.floor_map import floor_map
 from fewview.synthetic.frames import trace
 from fewview.synthetic.handheld import look
 from fewview.synthetic.plan import OpeningKind, make_plan, overlap_any, overlaps
+from fewview.synthetic.ring_sensor import photograph_ring
 from fewview.synthetic.room import Room, make_room
 from fewview.synthetic.samples import GRID, GRID_CELL_M, NO_PLANE, RoomSample, room_sample
 from fewview.synthetic.splits import split_seed
@@ -433,3 +434,15 @@ np.savez(sys.argv[1], **vars(sample))
         apart = bare["colour"].astype(float).mean(axis=(0, 1, 2)) - full.colour.mean(axis=(0, 1, 2))
         assert np.abs(apart).max() < 60
         assert bare["colour"].std() > 10
+
+
+def test_all_views_of_a_room_come_from_one_camera() -> None:
+    picture = np.random.default_rng(0).uniform(20, 235, (8, 32, 3)).astype(np.float32)
+    views = np.repeat(picture[None], 8, axis=0)
+    shots = [photograph_ring(views, np.random.default_rng(seed)) for seed in range(24)]
+    means = np.array([shot.mean(axis=(1, 2)) for shot in shots])
+    tint = means / means.mean(axis=-1, keepdims=True)
+    assert tint.std(axis=1).mean() < 0.7 * tint.mean(axis=1).std(axis=0).mean()
+    assert means.std(axis=1).mean() > 1.0
+    contrast = np.array([shot.std(axis=(1, 2, 3)) for shot in shots])
+    assert contrast.std(axis=1).mean() < 0.4 * contrast.mean(axis=1).std()

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from fewview.completion.layout.grid import CELLS, UNKNOWN, cells_of
 from fewview.completion.panorama.ring import ring_points
 from fewview.completion.panorama.walls import seen_normals
-from fewview.types import Array, CompletedLayout, FloatArray, RingScan
+from fewview.types import Array, BoolArray, CompletedLayout, FloatArray, RingScan
 
-CHANNELS = 13
+CHANNELS = 17
 PREDICTED = slice(0, 4)
 OBSERVED = 4
 SHOWN = slice(5, 10)
-COLOURS = slice(10, CHANNELS)
+UPRIGHT_COLOURS = slice(10, 14)
+LEVEL_COLOURS = slice(14, CHANNELS)
 UPRIGHT_COS = 0.35
 LEVEL_COS = 0.9
 EYE_BAND_M = (0.15, 1.2)
@@ -37,7 +38,8 @@ class Drawing:
         channels: (CHANNELS, CELLS, CELLS) float32: the completed layout's probabilities of wall,
             free floor, furniture and door; where anything was observed; how densely it saw upright
             faces below and above 1.2 m, table tops, the floor; the height of the highest thing;
-            mean Lab of upright faces.
+            mean Lab of upright faces and how uneven their lightness is; mean Lab of faces that
+            look up.
         level_T_scan: (4, 4) into the frame of the grid; see `completion.layout.grid`.
         floor_z: height of the floor there.
     """
@@ -68,12 +70,24 @@ def draw(ring: RingScan, layout: CompletedLayout) -> Drawing:
     density = [np.minimum(_summed(flat, kind) / ENOUGH_POINTS, 1.0) for kind in kinds]
     top = np.zeros(CELLS * CELLS)
     np.maximum.at(top, flat, height / HEIGHT_SCALE_M)
-    count = np.maximum(_summed(flat, upright), 1.0)
-    colour = [_summed(flat, upright * lab[:, i]) / count for i in range(3)]
-    shown = np.stack([*density, np.minimum(top, 2.0), *colour]).reshape(-1, CELLS, CELLS)
+    colours = [*_mean_lab(flat, upright, lab), *_mean_lab(flat, up, lab)]
+    colours.insert(3, _uneven(flat, upright, lab[:, 0], colours[0]))
+    shown = np.stack([*density, np.minimum(top, 2.0), *colours]).reshape(-1, CELLS, CELLS)
     predicted = np.delete(layout.probabilities, UNKNOWN, axis=0)
     channels = np.concatenate([predicted, layout.observed[None], shown], dtype=np.float32)
     return Drawing(channels, layout.level_T_scan, floor_z)
+
+
+def _mean_lab(cell: NDArray[np.int64], kind: BoolArray, lab: FloatArray) -> list[Array]:
+    """Three times (CELLS^2,) of the points of a kind."""
+    count = np.maximum(_summed(cell, kind), 1.0)
+    return [_summed(cell, kind * lab[:, i]) / count for i in range(3)]
+
+
+def _uneven(cell: NDArray[np.int64], kind: BoolArray, light: FloatArray, mean: Array) -> Array:
+    """(CELLS^2,) standard deviation of the lightness of the points of a kind."""
+    count = np.maximum(_summed(cell, kind), 1.0)
+    return np.sqrt(np.maximum(_summed(cell, kind * light**2) / count - mean**2, 0.0))
 
 
 def _summed(cell: NDArray[np.int64], weight: NDArray[np.generic]) -> Array:

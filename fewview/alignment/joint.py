@@ -8,7 +8,14 @@ import numpy as np
 import torch
 
 from fewview.alignment.align import planar_motion
-from fewview.alignment.drawing import COLOURS, OBSERVED, PREDICTED, SHOWN, Drawing
+from fewview.alignment.drawing import (
+    LEVEL_COLOURS,
+    OBSERVED,
+    PREDICTED,
+    SHOWN,
+    UPRIGHT_COLOURS,
+    Drawing,
+)
 from fewview.completion.layout.grid import CELLS, cell_centres, cells_of
 from fewview.types import Array, BoolArray, FloatArray
 
@@ -31,12 +38,12 @@ def joint_drawing(target: Drawing, others: Sequence[Drawing], target_T_other: Ar
     channels, reach = np.stack(views), np.stack(inside)
     observed = channels[:, OBSERVED] > 0
     sayers = np.where(observed.any(axis=0), observed, reach)
-    coloured = np.abs(channels[:, COLOURS]).sum(axis=1) > 0
     joint = np.empty_like(target.channels)
     joint[PREDICTED] = _mean(channels[:, PREDICTED], sayers)
     joint[OBSERVED] = observed.any(axis=0)
     joint[SHOWN] = channels[:, SHOWN].max(axis=0)
-    joint[COLOURS] = _mean(channels[:, COLOURS], coloured)
+    for colours in (UPRIGHT_COLOURS, LEVEL_COLOURS):
+        joint[colours] = _mean(channels[:, colours], channels[:, colours].any(axis=1))
     return Drawing(joint, target.level_T_scan, target.floor_z)
 
 

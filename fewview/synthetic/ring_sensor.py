@@ -11,7 +11,10 @@ from fewview.types import BoolArray, FloatArray
 
 
 def photograph_ring(colour: FloatArray, rng: Rng) -> Image:
-    """Exposure, contrast, saturation, white balance and noise of each view's camera.
+    """What one camera of any make gives of all views of a room.
+
+    Contrast, saturation and white balance are the camera's and may be far from true; its automatic
+    exposure and white balance change them a little from view to view, exposure at times by much.
 
     Args:
         colour: (V, S, 4 S, 3) float32, 0..255 and beyond.
@@ -22,14 +25,17 @@ def photograph_ring(colour: FloatArray, rng: Rng) -> Image:
     """
     grain = rng.standard_normal(colour.shape[1:], dtype=np.float32)
     out = np.empty(colour.shape, np.uint8)
+    contrast, saturation = rng.uniform(0.5, 2.0), rng.uniform(0.4, 1.6)
+    balance = rng.uniform(0.7, 1.3) * rng.normal(1, 0.04, 3)
+    middle = float(colour.mean())
     for view, picture in zip(out, colour, strict=True):
-        contrast, saturation = rng.uniform(0.5, 2.0), rng.uniform(0.4, 1.6)
-        balance = rng.uniform(0.7, 1.3) * rng.normal(1, 0.04, 3)
-        mixing = saturation * np.eye(3) + (1 - saturation) / 3
-        turn = (contrast * np.diag(balance) @ mixing).astype(np.float32)
-        lift = (1 - contrast) * float(picture.mean()) * (balance @ mixing)
-        image = picture @ turn
-        image += lift.astype(np.float32)
+        gain = rng.uniform(0.85, 1.2) if rng.uniform() < 0.8 else rng.uniform(0.6, 1.5)
+        own_contrast = contrast * rng.uniform(0.9, 1.1)
+        own_saturation = saturation * rng.uniform(0.9, 1.1)
+        own_balance = balance * gain * rng.normal(1, 0.025, 3)
+        mixing = own_saturation * np.eye(3) + (1 - own_saturation) / 3
+        image = picture @ (own_contrast * mixing * own_balance).astype(np.float32)
+        image += ((1 - own_contrast) * middle * own_balance).astype(np.float32)
         shift = int(rng.integers(grain.shape[1]))
         image += np.float32(rng.uniform(0.2, 2.5)) * np.roll(grain, shift, axis=1)
         view[:] = np.clip(image, 0, 255, out=image)

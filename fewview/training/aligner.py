@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import cast
@@ -34,7 +35,7 @@ class AlignerProblem(DrawnProblem):
     turn: float = 0.5
     """Of the cross-entropy of the true yaw, whatever the shift."""
     joint: int = 4
-    """Views of a room that are targets a second time, drawn together with others."""
+    """Views of a room that take part a second time, drawn together with others."""
     together: int = 3
     """The most others that are drawn together with one."""
     name: str = "aligner"
@@ -45,35 +46,38 @@ class AlignerProblem(DrawnProblem):
 
     def batch(self, rooms: Sequence[DrawnRoom], rng: np.random.Generator) -> Batch:
         """``drawing`` (B, CHANNELS, CELLS, CELLS) and its ``room`` (B,) of all views, then of views
-        drawn together with others. All ordered pairs of a view and another drawing of its room that
-        does not show it: ``source``, ``target`` (P,); ``yaw`` (P,) true quarter turns, ``shift``
-        (P, 2) metres, ``apart`` (P,) whether they share hardly any surface, ``joint`` (P,) whether
-        the target shows several views, ``away`` (P,) the quarter turns that make the cameras face
-        away from each other. Pairs whose walls are not parallel or that are out of reach are left
-        out."""
+        drawn together with others. All ordered pairs of drawings of a room that show no view both:
+        ``source``, ``target`` (P,); ``yaw`` (P,) true quarter turns, ``shift`` (P, 2) metres,
+        ``apart`` (P,) whether they share hardly any surface, ``joint`` (P,) whether one of them
+        shows several views, ``away`` (P,) the quarter turns that make the cameras face away from
+        each other. Pairs whose walls are not parallel or that are out of reach are left out."""
         drawn = DrawnRooms(rooms)
         views = len(drawn.drawings)
         groups = [(view,) for view in range(views)] + self._groups(drawn.room, rng)
         shown = [joint_view(drawn, group) for group in groups]
         room = drawn.room[[group[0] for group in groups]]
-        index = np.argwhere(room[:views, None] == room)
-        index = np.array([(a, b) for a, b in index if a not in groups[b]])
-        target = np.array([group[0] for group in groups])[index[:, 1]]
-        motion = np.concatenate(
-            [drawn.motion(a, b) for a, b in zip(index[:, 0], target, strict=True)]
-        )
+        index = np.argwhere(room[:, None] == room)
+        index = index[np.argsort(room[index[:, 0]], kind="stable")]
+        index = np.array([(a, b) for a, b in index if not {*groups[a]} & {*groups[b]}])
+        first = np.array([group[0] for group in groups])
+        source, target = first[index].T
+        motion = np.concatenate([drawn.motion(a, b) for a, b in zip(source, target, strict=True)])
         turns = np.rint(motion[:, 0] / QUARTER)
         usable = np.abs(motion[:, 0] - turns * QUARTER) < MAX_YAW
         usable &= (np.abs(motion[:, 1:]) < (GRID - 1) * STEP_M).all(axis=1)
         heading = np.array([_heading(d.level_T_scan) for d in drawn.drawings])
-        away = heading[target] + np.pi - heading[index[:, 0]]
+        away = heading[target] + np.pi - heading[source]
+
+        def apart(a: Sequence[int], b: Sequence[int]) -> bool:
+            return all(drawn.apart(i, j) for i, j in itertools.product(a, b))
+
         columns = {
             "source": index[:, 0],
             "target": index[:, 1],
             "yaw": turns.astype(np.int64) % YAWS,
             "shift": motion[:, 1:],
-            "apart": np.array([all(drawn.apart(a, v) for v in groups[b]) for a, b in index]),
-            "joint": index[:, 1] >= views,
+            "apart": np.array([apart(groups[a], groups[b]) for a, b in index]),
+            "joint": (index >= views).any(axis=1),
             "away": np.rint(away / QUARTER).astype(np.int64) % YAWS,
         }
         kept = {name: torch.from_numpy(values[usable]) for name, values in columns.items()}
@@ -147,13 +151,12 @@ def _logits(network: nn.Module, batch: Batch) -> Tensor:
     room, source, target = batch["room"], batch["source"], batch["target"]
     out = []
     for number in range(int(room.max()) + 1):
-        pairs = torch.nonzero(room[source] == number)[:, 0]
+        pairs = room[source] == number
         sources, row = torch.unique(source[pairs], return_inverse=True)
         targets, column = torch.unique(target[pairs], return_inverse=True)
         maps = aligner.logits(spectra.source[sources], spectra.target[targets])
-        out.append((pairs, maps[row, column]))
-    order, found = (torch.cat(parts) for parts in zip(*out, strict=True))
-    return found[order.argsort()]
+        out.append(maps.flatten(0, 1)[row * len(targets) + column])
+    return torch.cat(out)
 
 
 def joint_view(drawn: DrawnRooms, group: Sequence[int]) -> Drawing:
