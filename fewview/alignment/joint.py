@@ -43,7 +43,8 @@ def joint_drawing(target: Drawing, others: Sequence[Drawing], target_T_other: Ar
     joint[OBSERVED] = observed.any(axis=0)
     joint[SHOWN] = channels[:, SHOWN].max(axis=0)
     for colours in (UPRIGHT_COLOURS, LEVEL_COLOURS):
-        joint[colours] = _mean(channels[:, colours], channels[:, colours].any(axis=1))
+        coloured = np.asarray(channels[:, colours].any(axis=1))
+        joint[colours] = _mean(channels[:, colours], coloured)
     return Drawing(joint, target.level_T_scan, target.floor_z)
 
 

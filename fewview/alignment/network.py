@@ -100,13 +100,14 @@ class _Spectrum(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, planes: Tensor) -> Tensor:
-        return torch.fft.rfft2(planes, (SHIFTS, SHIFTS))
+        return torch.as_tensor(torch.fft.rfft2(planes, (SHIFTS, SHIFTS)))
 
     @staticmethod
     def backward(ctx: Any, slope: Tensor) -> Tensor:
         share = torch.full(slope.shape[-1:], 0.5, device=slope.device)
         share[[0, -1]] = 1.0
-        return torch.fft.irfft2(slope * share, (SHIFTS, SHIFTS), norm="forward")[..., :GRID, :GRID]
+        padded: Tensor = torch.fft.irfft2(slope * share, (SHIFTS, SHIFTS), norm="forward")
+        return padded[..., :GRID, :GRID]
 
 
 def shifts() -> Tensor:
