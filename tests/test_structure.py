@@ -139,7 +139,7 @@ def test_the_losses_fall() -> None:
     network, batch = PROBLEM.network(), batch_of()
     optimiser = torch.optim.Adam(network.parameters(), 2e-3)
     totals: list[dict[str, float]] = []
-    for _ in range(90):
+    for _ in range(60):
         losses = PROBLEM.losses(network, batch)
         optimiser.zero_grad()
         sum(losses.values()).backward()  # type: ignore[union-attr]

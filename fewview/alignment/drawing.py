@@ -70,24 +70,19 @@ def draw(ring: RingScan, layout: CompletedLayout) -> Drawing:
     density = [np.minimum(_summed(flat, kind) / ENOUGH_POINTS, 1.0) for kind in kinds]
     top = np.zeros(CELLS * CELLS)
     np.maximum.at(top, flat, height / HEIGHT_SCALE_M)
-    colours = [*_mean_lab(flat, upright, lab), *_mean_lab(flat, up, lab)]
-    colours.insert(3, _uneven(flat, upright, lab[:, 0], colours[0]))
+    *faces, light_squared = _means(flat, upright, np.column_stack([lab, lab[:, 0] ** 2]))
+    uneven = np.sqrt(np.maximum(light_squared - faces[0] ** 2, 0.0))
+    colours = [*faces, uneven, *_means(flat, up, lab)]
     shown = np.stack([*density, np.minimum(top, 2.0), *colours]).reshape(-1, CELLS, CELLS)
     predicted = np.delete(layout.probabilities, UNKNOWN, axis=0)
     channels = np.concatenate([predicted, layout.observed[None], shown], dtype=np.float32)
     return Drawing(channels, layout.level_T_scan, floor_z)
 
 
-def _mean_lab(cell: NDArray[np.int64], kind: BoolArray, lab: FloatArray) -> list[Array]:
-    """Three times (CELLS^2,) of the points of a kind."""
+def _means(cell: NDArray[np.int64], kind: BoolArray, values: FloatArray) -> list[Array]:
+    """(CELLS^2,) of each column of ``values``, over the points of a kind."""
     count = np.maximum(_summed(cell, kind), 1.0)
-    return [_summed(cell, kind * lab[:, i]) / count for i in range(3)]
-
-
-def _uneven(cell: NDArray[np.int64], kind: BoolArray, light: FloatArray, mean: Array) -> Array:
-    """(CELLS^2,) standard deviation of the lightness of the points of a kind."""
-    count = np.maximum(_summed(cell, kind), 1.0)
-    return np.sqrt(np.maximum(_summed(cell, kind * light**2) / count - mean**2, 0.0))
+    return [_summed(cell, kind * column) / count for column in values.T]
 
 
 def _summed(cell: NDArray[np.int64], weight: NDArray[np.generic]) -> Array:

@@ -46,7 +46,7 @@ class AlignerProblem(DrawnProblem):
 
     def batch(self, rooms: Sequence[DrawnRoom], rng: np.random.Generator) -> Batch:
         """``drawing`` (B, CHANNELS, CELLS, CELLS) and its ``room`` (B,) of all views, then of views
-        drawn together with others. All ordered pairs of drawings of a room that show no view both:
+        drawn together with others. Room by room all ordered pairs that show no view both:
         ``source``, ``target`` (P,); ``yaw`` (P,) true quarter turns, ``shift`` (P, 2) metres,
         ``apart`` (P,) whether they share hardly any surface, ``joint`` (P,) whether one of them
         shows several views, ``away`` (P,) the quarter turns that make the cameras face away from
